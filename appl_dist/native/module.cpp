@@ -1,0 +1,13 @@
+// The one native module. Each part of the C core has a bind_*.cpp that adds its functions here.
+#include <nanobind/nanobind.h>
+
+namespace nb = nanobind;
+
+void bind_planner(nb::module_ &m);
+void bind_sim(nb::module_ &m);
+
+NB_MODULE(_native, m) {
+    m.doc() = "C core of appl_dist: planner kernels, lidar and tyre model.";
+    bind_planner(m);
+    bind_sim(m);
+}

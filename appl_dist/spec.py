@@ -1,0 +1,145 @@
+"""Layouts that every process shares: observation, action, planner parameters and one rollout.
+
+Leaf of the import graph: numpy and the standard library only, nothing of ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+
+WIRE_VERSION = 1  # raised whenever a layout below or a wire header changes
+
+LIDAR_BEAMS = 720
+LIDAR_CLIP_M = 2.0  # observation clips ranges here (APPL journal, Sec. V-D)
+OBSERVATION_SIZE = LIDAR_BEAMS + 1 + 8
+SCAN = slice(0, LIDAR_BEAMS)  # ranges clipped to LIDAR_CLIP_M, scaled to [-1, 1]
+BEARING = LIDAR_BEAMS  # bearing of the local goal in the robot frame / pi
+PARAMETERS = slice(LIDAR_BEAMS + 1, OBSERVATION_SIZE)  # parameters in force, scaled to [-1, 1]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One tunable planner parameter and the box a policy may move it in."""
+
+    name: str
+    default: float
+    low: float
+    high: float
+    unit: str = ""
+    integer: bool = False
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """An ordered set of planner parameters and the affine map between them and actions in [-1, 1]."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    low: NDArray[np.float64] = field(init=False, repr=False, compare=False)
+    high: NDArray[np.float64] = field(init=False, repr=False, compare=False)
+    integer: NDArray[np.bool_] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for p in self.parameters:
+            if not p.low < p.high:
+                raise ValueError(f"{self.name}.{p.name}: bounds {p.low}..{p.high} are not increasing")
+        object.__setattr__(self, "low", np.array([p.low for p in self.parameters]))
+        object.__setattr__(self, "high", np.array([p.high for p in self.parameters]))
+        object.__setattr__(self, "integer", np.array([p.integer for p in self.parameters]))
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def defaults(self) -> NDArray[np.float64]:
+        """(n,) the expert's hand-tuned values."""
+        return np.array([p.default for p in self.parameters])
+
+    def to_values(self, action: NDArray[Any]) -> NDArray[np.float64]:
+        """(n,) parameter values of an action in [-1, 1]; clipped to the box, integers rounded."""
+        unit = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
+        values: NDArray[np.float64] = self.low + unit * (self.high - self.low)
+        return np.where(self.integer, np.rint(values), values)
+
+    def to_action(self, values: NDArray[Any]) -> FloatArray:
+        """(n,) action in [-1, 1] whose parameter values are `values`, clipped to the box."""
+        unit = (np.asarray(values, np.float64) - self.low) / (self.high - self.low)
+        return np.clip(2.0 * unit - 1.0, -1.0, 1.0).astype(np.float32)
+
+
+def _dwa_space(name: str, bounds: tuple[tuple[float, float], ...]) -> ParameterSpace:
+    rows = (
+        ("max_vel_x", 0.5, "m/s", False),
+        ("max_vel_theta", 1.57, "rad/s", False),
+        ("vx_samples", 6, "", True),
+        ("vtheta_samples", 20, "", True),
+        ("occdist_scale", 0.1, "", False),
+        ("pdist_scale", 0.75, "", False),
+        ("gdist_scale", 1.0, "", False),
+        ("inflation_radius", 0.30, "m", False),
+    )
+    return ParameterSpace(
+        name, tuple(Parameter(n, d, lo, hi, u, i) for (n, d, u, i), (lo, hi) in zip(rows, bounds, strict=True))
+    )
+
+
+# The eight TrajectoryPlannerROS parameters APPL tunes, and APPLR's bounds (journal Tab. I and Sec. V-D).
+DWA = _dwa_space(
+    "dwa",
+    ((0.2, 2.0), (0.314, 3.14), (4, 20), (4, 60), (0.05, 1.0), (0.1, 1.5), (0.1, 2.0), (0.01, 0.5)),
+)
+# Bounds that also hold every parameter set published for APPLD and APPLI, for cloning them.
+DWA_WIDE = _dwa_space(
+    "dwa_wide",
+    ((0.1, 2.0), (0.314, 3.14), (4, 20), (3, 60), (0.01, 1.0), (0.1, 1.5), (0.1, 2.0), (0.005, 0.6)),
+)
+SPACES = {s.name: s for s in (DWA, DWA_WIDE)}
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """A run of n consecutive transitions of one episode, each observation once.
+
+    observations (n + 1, OBSERVATION_SIZE) float32, actions (n, 8) float32 as executed (clipped),
+    rewards (n,) float32. `terminal`: the last transition ended the episode for good; without it the
+    run was truncated (time limit, or the actor stopping) and learning bootstraps from the last
+    observation. `info` holds plain msgpack values: world, seed, success, collision, time_s, distance_m,
+    return, and the `policy_version` that chose the actions.
+    """
+
+    observations: FloatArray
+    actions: FloatArray
+    rewards: FloatArray
+    terminal: bool
+    info: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+    def check(self) -> None:
+        """Raise ValueError naming the first field whose shape, dtype or numbers cannot be."""
+        n = len(self.rewards)
+        wanted = {
+            "observations": (self.observations, (n + 1, OBSERVATION_SIZE)),
+            "actions": (self.actions, (n, self.actions.shape[-1] if self.actions.ndim else 0)),
+            "rewards": (self.rewards, (n,)),
+        }
+        if n < 1:
+            raise ValueError("rewards: got 0 transitions; a rollout has at least 1")
+        for name, (array, shape) in wanted.items():
+            if array.shape != shape or array.dtype != np.float32:
+                raise ValueError(f"{name}: got {array.dtype}{array.shape}; expected float32{shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name}: holds a value that is not finite")
+        if np.abs(self.actions).max() > 1.0:
+            raise ValueError(f"actions: got {np.abs(self.actions).max():g}; allowed -1..1")
