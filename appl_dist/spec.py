@@ -89,7 +89,8 @@ def _dwa_space(name: str, bounds: tuple[tuple[float, float], ...]) -> ParameterS
         ("inflation_radius", 0.30, "m", False),
     )
     return ParameterSpace(
-        name, tuple(Parameter(n, d, lo, hi, u, i) for (n, d, u, i), (lo, hi) in zip(rows, bounds, strict=True))
+        name,
+        tuple(Parameter(n, d, lo, hi, u, i) for (n, d, u, i), (lo, hi) in zip(rows, bounds, strict=True)),
     )
 
 
