@@ -1,8 +1,9 @@
 """The Jackal as a pybullet body among cylinders: contacts, and what they do to its motion.
 
-Traction does not come from here. Wheels and ground are frictionless in pybullet; the tyre forces of csrc/tyres.c move the
-robot, and this body is carried along with the velocity they give, so that only contacts with obstacles (and the ground,
-in height and tilt) change its motion. Wheels spin as commanded and have their friction against obstacles.
+Traction does not come from here. Wheels and ground are frictionless in pybullet; the tyre forces of
+csrc/tyres.c move the robot, and this body is carried along with the velocity they give, so that only contacts
+with obstacles (and the ground, in height and tilt) change its motion. Wheels spin as commanded and have their
+friction against obstacles.
 """
 
 from __future__ import annotations
@@ -20,7 +21,12 @@ URDF = Path(__file__).with_name("jackal.urdf")
 CYLINDERS_PER_BODY = 16  # the most createCollisionShapeArray takes
 CYLINDER_LENGTH_M = 1.0  # centred on the ground plane, as in the world files
 SOLVER_ITERATIONS = 10
+WHEEL_JOINTS = (0, 1, 2, 3)  # front left, front right, rear left, rear right
+WHEEL_TORQUES = (100.0,) * 4  # N m: the URDF sets no effort limit
 FLAT_RAD = 1e-3  # less tilt than this is bullet's contact slop, and is taken out
+
+
+Pose = tuple[float, float, float]  # x, y, yaw of base_link, or their rates
 
 
 class Motion(NamedTuple):
@@ -44,9 +50,9 @@ class BulletBody:
         self._robot = self._ground = -1
         self._com = (0.0, 0.0, 0.0)  # of the base body, in base_link
         self._dt_s = 0.0
+        self._wheels = (0.0, 0.0)
         self.tilt_rad = 0.0
         self._vertical = (0.0, 0.0, 0.0)  # vz and the roll and pitch rates, world frame
-        self._flat = True
 
     def close(self) -> None:
         """Leave pybullet; safe to call twice."""
@@ -54,11 +60,11 @@ class BulletBody:
             p.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def rebuild(self, cylinders: Floats, pose: tuple[float, float, float]) -> None:
+    def rebuild(self, cylinders: Floats, pose: Pose) -> None:
         """Start a fresh world, (n, 3) x, y, radius, with the robot at rest at x, y, yaw.
 
-        Everything is built anew (14 ms): a world that outlives an episode keeps contact caches and body numbers, and
-        the same episode would differ in its last bits.
+        Everything is built anew (8 ms): a world that outlives an episode keeps contact caches and body numbers,
+        and the same episode would differ in its last bits.
         """
         client = self._client
         p.resetSimulation(physicsClientId=client)
@@ -66,7 +72,7 @@ class BulletBody:
         p.setPhysicsEngineParameter(
             numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1, physicsClientId=client
         )
-        # Without a given visual shape pybullet tessellates one for every cylinder: 5 ms a body instead of 0.3.
+        # Without a given visual shape pybullet tessellates one for every one: 5 ms a body, not 0.3.
         visual = p.createVisualShape(p.GEOM_BOX, halfExtents=[0.001] * 3, physicsClientId=client)
         plane = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
         self._ground = p.createMultiBody(0, plane, visual, physicsClientId=client)
@@ -78,14 +84,19 @@ class BulletBody:
         for link in range(-1, p.getNumJoints(self._robot, physicsClientId=client)):
             friction = 1.0 if link < 0 else 0.5
             p.changeDynamics(
-                self._robot, link, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+                self._robot,
+                link,
+                lateralFriction=friction,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
                 physicsClientId=client,
-            )  # fmt: skip
+            )
         self._com = p.getDynamicsInfo(self._robot, -1, physicsClientId=client)[3]
         self._dt_s = 0.0
+        self._wheels = (0.0, 0.0)
         self.tilt_rad = 0.0
         self._vertical = (0.0, 0.0, 0.0)
-        self._flat = True
         self._place(pose, BASE_HEIGHT_M + self._com[2])
 
     def _add_obstacles(self, cylinders: Floats, visual: int) -> None:
@@ -100,7 +111,7 @@ class BulletBody:
         body = p.createMultiBody(0, shape, visual, physicsClientId=self._client)
         p.changeDynamics(body, -1, lateralFriction=1.0, physicsClientId=self._client)
 
-    def _place(self, pose: tuple[float, float, float], height: float) -> None:
+    def _place(self, pose: Pose, height: float) -> None:
         x, y, yaw = pose
         c, s = math.cos(yaw), math.sin(yaw)
         cx, cy, _ = self._com
@@ -111,52 +122,64 @@ class BulletBody:
             physicsClientId=self._client,
         )
 
-    def step(
-        self,
-        pose: tuple[float, float, float],
-        velocity: tuple[float, float, float],
-        wheels: tuple[float, float],
-        dt_s: float,
-    ) -> Motion:
-        """Move for dt_s from `pose` (x, y, yaw) with base_link's mean velocity (vx, vy, yaw rate; world frame).
+    def carry(self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float) -> None:
+        """Move with the velocity of the tyre model where nothing can be touched: the body just follows."""
+        height = p.getBasePositionAndOrientation(self._robot, physicsClientId=self._client)[0][2]
+        self._place(pose, height)
+        self._vertical = (0.0, 0.0, 0.0)
+        self._push(pose, velocity, wheels, dt_s)
 
-        wheels: angular speeds of the left and the right pair, rad/s. A body that lies flat starts exactly at `pose`; a
-        tilted one stays where it is.
+    def step(self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float) -> Motion:
+        """Move for dt_s from `pose` (x, y, yaw) with base_link's mean velocity (vx, vy, yaw rate), world frame.
+
+        wheels: angular speeds of the left and the right pair, rad/s. A body that lies flat starts exactly at
+        `pose`; a tilted one stays where it is.
         """
         client, robot = self._client, self._robot
-        (bx, by, bz), _ = p.getBasePositionAndOrientation(robot, physicsClientId=client)
-        vx, vy, w = velocity
-        vz, wx, wy = self._vertical
-        if self._flat:
-            self._place(pose, bz)
-            wx = wy = 0.0
-        if dt_s != self._dt_s:
-            p.setTimeStep(dt_s, physicsClientId=client)
-            self._dt_s = dt_s
-        left, right = wheels
-        p.setJointMotorControlArray(
-            robot, (0, 1, 2, 3), p.VELOCITY_CONTROL, targetVelocities=(left, right, left, right),
-            forces=(100.0,) * 4, physicsClientId=client,
-        )  # fmt: skip
-        # The base body's own centre of mass, at the heading of mid-step.
-        heading = pose[2] + 0.5 * w * dt_s
-        c, s = math.cos(heading), math.sin(heading)
-        rx, ry = c * self._com[0] - s * self._com[1], s * self._com[0] + c * self._com[1]
-        ux, uy = vx - w * ry, vy + w * rx
-        p.resetBaseVelocity(robot, (ux, uy, vz), (wx, wy, w), physicsClientId=client)
-        p.stepSimulation(physicsClientId=client)
-
+        if self.tilt_rad < FLAT_RAD:
+            height = p.getBasePositionAndOrientation(robot, physicsClientId=client)[0][2]
+            self._place(pose, height)
+            self._vertical = (self._vertical[0], 0.0, 0.0)
+        ux, uy = self._push(pose, velocity, wheels, dt_s)
         (bx, by, _), (qx, qy, qz, qw) = p.getBasePositionAndOrientation(robot, physicsClientId=client)
         (ax, ay, az), (gx, gy, gz) = p.getBaseVelocity(robot, physicsClientId=client)
         self._vertical = (az, gx, gy)
         self.tilt_rad = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (qx * qx + qy * qy))))
-        self._flat = self.tilt_rad < FLAT_RAD
         yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
         yaw += 2.0 * math.pi * round((pose[2] - yaw) / (2.0 * math.pi))  # the yaw outside is not wrapped
-        c, s = math.cos(yaw), math.sin(yaw)
-        rx, ry = c * self._com[0] - s * self._com[1], s * self._com[0] + c * self._com[1]
-        dw = gz - w
+        rx, ry = self._com_offset(yaw)
+        dw = gz - velocity[2]
         return Motion(bx - rx, by - ry, yaw, ax - ux + dw * ry, ay - uy - dw * rx, dw)
+
+    def _com_offset(self, yaw: float) -> tuple[float, float]:
+        c, s = math.cos(yaw), math.sin(yaw)
+        return c * self._com[0] - s * self._com[1], s * self._com[0] + c * self._com[1]
+
+    def _push(
+        self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float
+    ) -> tuple[float, float]:
+        """Step with base_link at `velocity`; returns the velocity given to the body's own centre of mass."""
+        client, robot = self._client, self._robot
+        if dt_s != self._dt_s:
+            p.setTimeStep(dt_s, physicsClientId=client)
+            self._dt_s = dt_s
+        if wheels != self._wheels:
+            left, right = self._wheels = wheels
+            p.setJointMotorControlArray(
+                robot,
+                WHEEL_JOINTS,
+                p.VELOCITY_CONTROL,
+                targetVelocities=(left, right, left, right),
+                forces=WHEEL_TORQUES,
+                physicsClientId=client,
+            )
+        vx, vy, w = velocity
+        rx, ry = self._com_offset(pose[2] + 0.5 * w * dt_s)  # at the heading of mid-step
+        ux, uy = vx - w * ry, vy + w * rx
+        vz, wx, wy = self._vertical
+        p.resetBaseVelocity(robot, (ux, uy, vz), (wx, wy, w), physicsClientId=client)
+        p.stepSimulation(physicsClientId=client)
+        return ux, uy
 
     def touches(self) -> bool:
         """Whether the last step's contacts hold one between the robot and an obstacle."""
@@ -167,7 +190,7 @@ class BulletBody:
         return False
 
     def ray_ranges(self, starts: list[list[float]], ends: list[list[float]]) -> list[float]:
-        """Fraction of each ray that is free, 1 = no hit; the slow twin that csrc/lidar.c is tested against."""
+        """Fraction of each ray that is free, 1 = no hit: the slow twin csrc/lidar.c is tested against."""
         hits: list[float] = []
         for first in range(0, len(starts), p.MAX_RAY_INTERSECTION_BATCH_SIZE):
             batch = slice(first, first + p.MAX_RAY_INTERSECTION_BATCH_SIZE)

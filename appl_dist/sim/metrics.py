@@ -1,4 +1,4 @@
-"""How hard a BARN world is: the five measures of Perille et al. 2020 (Sec. III-C), on the robot's configuration space.
+"""How hard a BARN world is: the five measures of Perille et al. 2020, on the robot's configuration space.
 
 Grids are (30, 30) bool, True = filled, indexed [row, column]; distances count cells.
 """
@@ -14,7 +14,7 @@ GRID = 30
 NAMES = ("closest obstacle", "visibility", "dispersion", "characteristic dimension", "tortuosity")
 _AXES = np.array([(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1)])
 _DISPERSION_RADIUS = 3
-# Sixteen directions in the published order, which is not quite that of the angle: the published numbers depend on it.
+# Sixteen directions in the published order, not quite that of the angle: the published numbers depend on it.
 _CIRCLE = [
     (0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2),
     (0, -1), (-2, -1), (-1, -1), (-1, -2), (-1, 0), (-2, 1), (-1, 1), (-1, 2),
@@ -22,7 +22,7 @@ _CIRCLE = [
 
 
 def neighbours(grid: NDArray, outside: int) -> NDArray[np.int64]:
-    """(..., R, C) sum of the eight neighbours; cells left and right of the map are empty, `outside` above and below."""
+    """(..., R, C) sum of the eight neighbours; `outside` is above and below the map, 0 left and right of it."""
     padded = np.zeros((*grid.shape[:-2], grid.shape[-2] + 2, grid.shape[-1] + 2), np.int8)
     padded[..., 0, :] = padded[..., -1, :] = outside
     padded[..., 1:-1, 1:-1] = grid
@@ -45,10 +45,10 @@ def c_space(grid: Grid) -> Grid:
 
 
 def fill_interior(grid: Grid) -> Grid:
-    """Fill the inside of solid blocks, where world files have no cylinders because all eight neighbours are filled.
+    """Fill the inside of solid blocks: world files have no cylinder where all eight neighbours are filled.
 
-    The largest filling that the rule allows: a cell filled here has only filled neighbours, and a cell with a cylinder
-    has an empty one. Cells on the rim always have their cylinder.
+    The largest filling that the rule allows: a cell filled here has only filled neighbours, and a cell with a
+    cylinder has an empty one. Cells on the rim always have their cylinder.
     """
     inner = np.zeros_like(grid)
     inner[1:-1, 1:-1] = True
@@ -86,7 +86,7 @@ def _dispersion(blocked: Grid, cells: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def difficulty(grid: Grid, path: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(5,) measures of an occupancy grid along a path of (m, 2) row, column cells; see NAMES for the order."""
+    """(5,) measures, in the order of NAMES, of an occupancy grid along a path of (m, 2) row, column."""
     blocked = c_space(grid)
     obstacles = np.argwhere(blocked)
     gaps = np.sqrt(((path[:, None] - obstacles[None]) ** 2).sum(axis=2)).min(axis=1)

@@ -1,4 +1,4 @@
-"""The Jackal and its lidar as numbers: Clearpath's jackal_description, jackal_control and the BARN challenge set-up."""
+"""The Jackal and its lidar as numbers: Clearpath's jackal_description and jackal_control, BARN challenge."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _require(name: str, value: float, low: float, high: float) -> None:
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """What drives the robot. "tyres" slides as Gazebo's robot does, "ideal" follows its limited command exactly."""
+    """How the robot drives: "tyres" slide as in Gazebo, "ideal" follows its limited command exactly."""
 
     drive: str = "tyres"
     friction: float = 0.5  # mu1 = mu2 of the wheels in the URDF
@@ -35,7 +35,7 @@ class RobotSettings:
     max_alpha_radps2: float = 25.0
     separation_multiplier: float = 1.5
     command_timeout_s: float = 0.25
-    # Twist of the EKF in its steady state, updated every 20 ms: share of a new measurement, noise of the IMU's rate.
+    # The EKF's twist in its steady state, updated every 20 ms: share of a new measurement, noise of the IMU.
     odom_gain_v: float = 0.5
     odom_gain_w: float = 0.95
     odom_noise_w_radps: float = 0.005

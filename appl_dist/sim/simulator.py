@@ -1,7 +1,8 @@
 """One Jackal in one BARN world: command in; pose, odometry, scan and contact out.
 
-Free motion is csrc/tyres.c in steps of 1 ms. pybullet is stepped along with it, every 20 ms in the open and every 4 ms where
-the robot could touch something; contacts found there change pose and velocity, and the tyre model goes on from them.
+Free motion is csrc/tyres.c in steps of 1 ms. pybullet is stepped along with it, every 40 ms in the open and every
+4 ms where the robot could touch something; contacts found there change pose and velocity, and the tyre model goes
+on from them.
 Frames: world = odom at reset; poses are x, y, yaw of base_link with a yaw that is not wrapped.
 """
 
@@ -14,15 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
-from .bullet import BulletBody
+from .bullet import FLAT_RAD, BulletBody
 from .robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from .worlds import Floats, World
 
-OPEN_MS = 20  # pybullet step where no obstacle is in reach
+OPEN_MS = 40  # pybullet step where no obstacle is in reach
 CONTACT_MS = 4  # and where one is: 8 mm at full speed
 NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
 CLEARANCE_LIMIT_M = 100.0
+
+_ROBOT = RobotSettings()
+_LIDAR = LidarSettings()
 
 
 class Simulator:
@@ -31,9 +35,7 @@ class Simulator:
     Deterministic: the same world, seed, pose and commands give the same bits, whatever was simulated before.
     """
 
-    def __init__(
-        self, robot: RobotSettings = RobotSettings(), lidar: LidarSettings = LidarSettings()
-    ) -> None:
+    def __init__(self, robot: RobotSettings = _ROBOT, lidar: LidarSettings = _LIDAR) -> None:
         self.robot, self.lidar = robot, lidar
         self._vehicle = _native.Vehicle(robot.native())
         self._caster = lidar.native()
@@ -76,6 +78,7 @@ class Simulator:
             self._body.rebuild(self._cylinders, self._vehicle.pose)
         self._synced = self._vehicle.pose
         self._pending_ms = 0
+        self._held = False  # pybullet, not the tyre model, has the last word on where the robot is
         self._ready = True
         self.collided = False  # since reset
         self.in_collision = False  # now
@@ -84,8 +87,8 @@ class Simulator:
     def step(self, command: NDArray | tuple[float, float], dt_s: float, command_age_s: float = 0.0) -> None:
         """Drive dt_s, a multiple of 1 ms, on the last cmd_vel received: `command` (2,) v m/s, w rad/s.
 
-        command_age_s: how long before this step it was received. Once older than the time-out (0.25 s), also within one
-        long step, the robot brakes.
+        command_age_s: how long before this step it was received. Once older than the time-out (0.25 s), also
+        within one long step, the robot brakes.
         """
         ms = round(1000.0 * dt_s)
         if not self._ready:
@@ -99,7 +102,7 @@ class Simulator:
         vehicle.command(v, w, round(1000.0 * command_age_s))
         while ms > 0:
             chunk = min(ms, OPEN_MS - self._pending_ms)
-            if not self.in_collision and vehicle.drive_free(chunk, NEAR_M):
+            if not self._held and vehicle.drive_free(chunk, NEAR_M):
                 self._pending_ms += chunk
                 if self._pending_ms == OPEN_MS:
                     self._carry()
@@ -127,8 +130,7 @@ class Simulator:
             self.collided |= self.in_collision
             return
         velocity = ((now[0] - before[0]) / dt_s, (now[1] - before[1]) / dt_s, (now[2] - before[2]) / dt_s)
-        self._body.step(before, velocity, self._wheel_rates(), dt_s)
-        self._note_tilt()
+        self._body.carry(before, velocity, self._wheel_rates(), dt_s)
 
     def _contact_step(self, ms: int) -> None:
         """One step where contacts are possible: predict freely, let pybullet resolve, correct."""
@@ -142,18 +144,15 @@ class Simulator:
         velocity = vehicle.predict(ms)
         motion = body.step(before, velocity, self._wheel_rates(), 1e-3 * ms)
         self.in_collision = body.touches()
-        if self.in_collision or body.tilt_rad > 0.01:
+        self._held = self.in_collision or body.tilt_rad > FLAT_RAD
+        if self._held:
             vehicle.correct(*motion)
-        self.collided |= self.in_collision
         self._synced = vehicle.pose
-        self._note_tilt()
-
-    def _note_tilt(self) -> None:
-        if self._body is not None and self._body.tilt_rad > ROLLED_OVER_RAD:
-            self.rolled_over = True
+        self.collided |= self.in_collision
+        self.rolled_over |= body.tilt_rad > ROLLED_OVER_RAD
 
     def scan(self) -> NDArray[np.float32]:
-        """(720,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""
+        """(720,) float32 ranges in m at this moment, inf = no return; the noise is that of (seed, time, beam)."""
         x, y, yaw = self._vehicle.pose
         mount = self.lidar.mount_x_m
         pose = np.array((x + mount * math.cos(yaw), y + mount * math.sin(yaw), yaw))
@@ -179,7 +178,7 @@ class Simulator:
 
     @property
     def odom_pose(self) -> Floats:
-        """(3,) x, y, yaw as wheel odometry has it: wheel speed integrated along the true yaw, from the true start."""
+        """(3,) x, y, yaw by odometry: wheel speed integrated along the true yaw, from the true start."""
         return np.array(self._vehicle.odom_pose)
 
     @property
@@ -199,5 +198,5 @@ class Simulator:
 
     @property
     def clearance_m(self) -> float:
-        """Distance from the collision hull (chassis and wheels) to the nearest obstacle, negative inside, at most 100."""
+        """Distance from the hull (chassis and wheels) to the nearest obstacle, negative inside, at most 100."""
         return float(self._vehicle.clearance(CLEARANCE_LIMIT_M))

@@ -1,8 +1,9 @@
-"""BARN worlds: upright cylinders and a reference path, read from the authors' files or from the compact export.
+"""BARN worlds: upright cylinders and a reference path, read from the authors' files or the compact export.
 
-Frames: the Gazebo world frame of BARN, metres, x right, y forward (a robot drives from (-2, 3) towards (-2, 13)).
-The field is a grid of 30 x 30 cells of 0.15 m; row r lies at x = -4.425 + 0.15 r, column c at y = 5.175 + 0.15 c, and a
-filled cell is a cylinder of radius 0.075 m. Source: Perille et al., "Benchmarking Metric Ground Navigation", 2020.
+Frames: the Gazebo world frame of BARN, metres, x right, y forward (a robot drives from (-2, 3) to (-2, 13)).
+The field is a grid of 30 x 30 cells of 0.15 m; row r lies at x = -4.425 + 0.15 r, column c at
+y = 5.175 + 0.15 c, and a filled cell is a cylinder of radius 0.075 m. Source: Perille et al., "Benchmarking
+Metric Ground Navigation", SSRR 2020.
 """
 
 from __future__ import annotations
@@ -85,9 +86,9 @@ def make_world(index: int, name: str, cylinders: Floats, cells: NDArray[np.integ
 def load_worlds(path: str | Path) -> list[World]:
     """All worlds under `path`, by index.
 
-    `path` is a folder with barn_worlds.npz and barn_paths.npz, or that barn_worlds.npz itself, or a folder or a tar
-    archive with the authors' world_<i>.world and path_files/path_<i>.npy. Raises UserError naming the file and the
-    line or key that cannot be.
+    `path` is a folder with barn_worlds.npz and barn_paths.npz, or that barn_worlds.npz itself, or a folder or a
+    tar archive with the authors' world_<i>.world and path_files/path_<i>.npy. Raises UserError naming the file
+    and the line or key that cannot be.
     """
     path = Path(path)
     if path.is_dir():
@@ -115,7 +116,7 @@ def _folder_files(folder: Path) -> Iterator[tuple[str, Callable[[], bytes]]]:
 
 
 def _archive_files(archive: Path) -> Iterator[tuple[str, Callable[[], bytes]]]:
-    """Members are read in memory and only their base names matter: nothing in the archive can name a place."""
+    """Members are read in memory and only their base names matter: an archive cannot name a place to write."""
     try:
         with tarfile.open(archive) as tar:
             for member in tar:
@@ -302,7 +303,7 @@ def _read_npz(file: Path, wanted: dict[str, tuple[str, int]]) -> dict[str, NDArr
                 array = archive[key]
                 if array.dtype.kind != kind or array.ndim != ndim or not np.isfinite(array).all():
                     raise UserError(
-                        f"{file}: {key}: got {array.dtype}{array.shape}; expected {ndim} finite axes of {kind}"
+                        f"{file}: {key}: got {array.dtype}{array.shape}; expected {ndim} finite axes"
                     )
                 found[key] = array
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
