@@ -22,7 +22,16 @@ from appl_dist.planner.navigator import Navigator
 from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings, Simulator
 from appl_dist.sim.worlds import World
-from appl_dist.spec import BEARING, DWA, LIDAR_CLIP_M, OBSERVATION_SIZE, PARAMETERS, SCAN, FloatArray, ParameterSpace
+from appl_dist.spec import (
+    BEARING,
+    DWA,
+    LIDAR_CLIP_M,
+    OBSERVATION_SIZE,
+    PARAMETERS,
+    SCAN,
+    FloatArray,
+    ParameterSpace,
+)
 
 
 class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
@@ -75,7 +84,9 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         if index is None:
             index = self.next_world()
         if index not in self.worlds:
-            raise ValueError(f"options.world: got {index}; this environment has {len(self.worlds)} other worlds")
+            raise ValueError(
+                f"options.world: got {index}; this environment has {len(self.worlds)} other worlds"
+            )
         self.world = self.worlds[index]
         start, self._goal = self.protocol.start(self.world), self.protocol.goal(self.world)
         self._start_xy = (start[0], start[1])

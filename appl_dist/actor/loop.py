@@ -56,7 +56,12 @@ class NavigationLoop:
         rng = np.random.default_rng([seed, 0x7151])
         phase = [
             int(rng.integers(period)) if t.random_phases else 0
-            for period in (t.local_map_period_ms, t.global_map_period_ms, t.plan_period_ms, t.control_period_ms)
+            for period in (
+                t.local_map_period_ms,
+                t.global_map_period_ms,
+                t.plan_period_ms,
+                t.control_period_ms,
+            )
         ]
         self.simulator.reset(world, seed, start)
         self.origin = np.array([start[0], start[1], 0.0])
@@ -149,7 +154,9 @@ class NavigationLoop:
             self.navigator.update_local_map(pose)
             self._local.finish(now_ms)
         elif now_ms == self._global.due_ms:
-            if self._planning_from is not None and now_ms < self._plan_done_ms:  # planning holds the global map
+            if (
+                self._planning_from is not None and now_ms < self._plan_done_ms
+            ):  # planning holds the global map
                 self._global.wait(self._plan_done_ms)
                 return
             self._give_scan(now_ms)
