@@ -25,9 +25,7 @@ def main(argv: list[str] | None = None) -> int:
         print(_usage())
         return 0
     role, rest = arguments[0], arguments[1:]
-    logging.basicConfig(
-        level=logging.INFO, format=f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S"
-    )
+    logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S")
     try:
         if role not in ROLES:
             raise UserError(f"role {role!r}: expected one of {', '.join(ROLES)}")

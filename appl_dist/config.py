@@ -132,14 +132,10 @@ class Settings:
         _one_of("env.space", self.env.space, SPACES)
         _one_of("protocol", self.protocol, PROTOCOLS)
         if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):
-            raise ValueError(
-                f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'"
-            )
+            raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
         for method in self.evaluation.methods:
             if "=" not in method:
-                raise ValueError(
-                    f"evaluation.methods: got {method!r}; expected label=policy, as in default=default"
-                )
+                raise ValueError(f"evaluation.methods: got {method!r}; expected label=policy, as in default=default")
 
 
 def load(overrides: Sequence[str]) -> Settings:
@@ -151,9 +147,7 @@ def compose_dict(overrides: Sequence[str]) -> dict[str, Any]:
     """The composed configuration as plain values: what a run freezes and the learner serves."""
     ConfigStore.instance().store(name="schema", node=_schema(Settings))
     for override in overrides:
-        if not re.match(r"^[~+]{0,2}[A-Za-z_][\w/.@]*(=|$)", override) or (
-            "=" not in override and override[0] != "~"
-        ):
+        if not re.match(r"^[~+]{0,2}[A-Za-z_][\w/.@]*(=|$)", override) or ("=" not in override and override[0] != "~"):
             raise UserError(f"argument {override!r}: expected key=value, as in run.transitions=50000")
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):

@@ -84,9 +84,7 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         if index is None:
             index = self.next_world()
         if index not in self.worlds:
-            raise ValueError(
-                f"options.world: got {index}; this environment has {len(self.worlds)} other worlds"
-            )
+            raise ValueError(f"options.world: got {index}; this environment has {len(self.worlds)} other worlds")
         self.world = self.worlds[index]
         start, self._goal = self.protocol.start(self.world), self.protocol.goal(self.world)
         self._start_xy = (start[0], start[1])

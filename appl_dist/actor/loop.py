@@ -154,9 +154,7 @@ class NavigationLoop:
             self.navigator.update_local_map(pose)
             self._local.finish(now_ms)
         elif now_ms == self._global.due_ms:
-            if (
-                self._planning_from is not None and now_ms < self._plan_done_ms
-            ):  # planning holds the global map
+            if self._planning_from is not None and now_ms < self._plan_done_ms:  # planning holds the global map
                 self._global.wait(self._plan_done_ms)
                 return
             self._give_scan(now_ms)

@@ -82,6 +82,4 @@ PROTOCOLS = {
     )
 }
 # The recorded Gazebo runs of default DWA started at x = -2 and stopped 0.5 m before the goal.
-PROTOCOLS["challenge_2022"] = replace(
-    PROTOCOLS["challenge"], name="challenge_2022", start_x_m=-2.0, goal_radius_m=0.5
-)
+PROTOCOLS["challenge_2022"] = replace(PROTOCOLS["challenge"], name="challenge_2022", start_x_m=-2.0, goal_radius_m=0.5)

@@ -41,9 +41,7 @@ def reward(
     """
     gx, gy = goal[0] - before[0], goal[1] - before[1]
     distance = math.hypot(gx, gy)
-    forward = (
-        ((after[0] - before[0]) * gx + (after[1] - before[1]) * gy) / distance if distance > 0.0 else 0.0
-    )
+    forward = ((after[0] - before[0]) * gx + (after[1] - before[1]) * gy) / distance if distance > 0.0 else 0.0
     r_f = 0.0 if reached else -1.0
     r_c = -1.0 / max(nearest_m, MIN_DISTANCE_M)
     return settings.time * r_f + settings.progress * forward + settings.collision * r_c

@@ -61,9 +61,7 @@ class Child:
 
     def last_words(self) -> str:
         """The last line the process printed."""
-        lines = (
-            self.log_file.read_text(errors="replace").strip().splitlines() if self.log_file.exists() else []
-        )
+        lines = self.log_file.read_text(errors="replace").strip().splitlines() if self.log_file.exists() else []
         return lines[-1] if lines else "no output"
 
     def supervise(self) -> None:
@@ -78,9 +76,7 @@ class Child:
         code = self.returncode()
         if code is None or code == 0:
             return
-        self.backoff_s = (
-            1.0 if now - self.started_at > HEALTHY_S else min(2.0 * self.backoff_s, MAX_BACKOFF_S)
-        )
+        self.backoff_s = 1.0 if now - self.started_at > HEALTHY_S else min(2.0 * self.backoff_s, MAX_BACKOFF_S)
         self.retry_at = now + self.backoff_s
         log.warning("%s died with status %s; starts again in %.0f s", self.name, code, self.backoff_s)
 

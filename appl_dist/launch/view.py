@@ -47,9 +47,7 @@ def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
         )  # fmt: skip
     rows: list[RenderableType] = [progress, numbers, actors]
     rows += [f"[yellow]{note}[/yellow]" for note in notes[-3:]]
-    return Panel(
-        Group(*rows), title=f"appl-dist train · {status['run_id']}", subtitle="Ctrl-C stops, resumable"
-    )
+    return Panel(Group(*rows), title=f"appl-dist train · {status['run_id']}", subtitle="Ctrl-C stops, resumable")
 
 
 def line(status: dict[str, Any]) -> str:

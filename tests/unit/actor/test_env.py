@@ -47,9 +47,7 @@ def test_passes_gymnasiums_checker(short: NavigationEnv) -> None:
 def test_stable_baselines3_trains_in_it_unchanged(short: NavigationEnv) -> None:
     from stable_baselines3 import TD3
 
-    model = TD3(
-        "MlpPolicy", short, learning_starts=100, batch_size=32, policy_kwargs={"net_arch": [32]}, seed=0
-    )
+    model = TD3("MlpPolicy", short, learning_starts=100, batch_size=32, policy_kwargs={"net_arch": [32]}, seed=0)
     before = [p.detach().clone() for p in model.actor.parameters()]
     model.learn(250)
     assert model.num_timesteps == 250
