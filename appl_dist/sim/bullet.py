@@ -155,9 +155,7 @@ class BulletBody:
         c, s = math.cos(yaw), math.sin(yaw)
         return c * self._com[0] - s * self._com[1], s * self._com[0] + c * self._com[1]
 
-    def _push(
-        self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float
-    ) -> tuple[float, float]:
+    def _push(self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float) -> tuple[float, float]:
         """Step with base_link at `velocity`; returns the velocity given to the body's own centre of mass."""
         client, robot = self._client, self._robot
         if dt_s != self._dt_s:
@@ -194,7 +192,5 @@ class BulletBody:
         hits: list[float] = []
         for first in range(0, len(starts), p.MAX_RAY_INTERSECTION_BATCH_SIZE):
             batch = slice(first, first + p.MAX_RAY_INTERSECTION_BATCH_SIZE)
-            hits += [
-                hit[2] for hit in p.rayTestBatch(starts[batch], ends[batch], physicsClientId=self._client)
-            ]
+            hits += [hit[2] for hit in p.rayTestBatch(starts[batch], ends[batch], physicsClientId=self._client)]
         return hits

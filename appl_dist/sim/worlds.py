@@ -101,9 +101,7 @@ def load_worlds(path: str | Path) -> list[World]:
         if not tarfile.is_tarfile(path):
             raise UserError(f"{path}: not a world file set; give a folder, a tar archive or barn_worlds.npz")
         return _load_sdf(path, _archive_files(path))
-    raise UserError(
-        f"{path}: no such file or folder; give a folder of .world files, a tar archive or barn_worlds.npz"
-    )
+    raise UserError(f"{path}: no such file or folder; give a folder of .world files, a tar archive or barn_worlds.npz")
 
 
 # The authors' SDF files
@@ -123,9 +121,7 @@ def _archive_files(archive: Path) -> Iterator[tuple[str, Callable[[], bytes]]]:
                 if not member.isfile() or not member.name.endswith((".world", ".npy")):
                     continue
                 if member.size > MAX_FILE_BYTES:
-                    raise UserError(
-                        f"{archive}: {member.name} has {member.size} bytes; allowed {MAX_FILE_BYTES}"
-                    )
+                    raise UserError(f"{archive}: {member.name} has {member.size} bytes; allowed {MAX_FILE_BYTES}")
                 data = tar.extractfile(member)
                 assert data is not None
                 yield member.name, data.read
@@ -160,9 +156,7 @@ def _read_path(data: bytes, where: str) -> NDArray[np.integer]:
 
 def _check_cells(cells: NDArray[np.integer], where: str) -> NDArray[np.integer]:
     if cells.ndim != 2 or cells.shape[1] != 2 or len(cells) < 2 or not np.issubdtype(cells.dtype, np.integer):
-        raise UserError(
-            f"{where}: got {cells.dtype}{cells.shape}; expected at least two rows of integer row, column"
-        )
+        raise UserError(f"{where}: got {cells.dtype}{cells.shape}; expected at least two rows of integer row, column")
     if cells.min() < 0 or cells.max() >= GRID:
         raise UserError(
             f"{where}: holds the cell index {cells.min() if cells.min() < 0 else cells.max()}; allowed 0..29"
@@ -206,9 +200,7 @@ class _SdfReader:
         except ValueError:
             numbers = []
         if len(numbers) != count or not np.isfinite(numbers).all():
-            raise self.fail(
-                f"<{self.stack[-1]}> got {self.text.strip()[:40]!r}; expected {count} finite number(s)"
-            )
+            raise self.fail(f"<{self.stack[-1]}> got {self.text.strip()[:40]!r}; expected {count} finite number(s)")
         return numbers
 
     def _end(self, tag: str) -> None:
@@ -229,9 +221,7 @@ class _SdfReader:
         if roll or pitch:
             raise self.fail("a cylinder is tilted; only upright cylinders are known")
         if not 0.0 < radius <= 10.0 or max(abs(x), abs(y)) > 1000.0:
-            raise self.fail(
-                f"cylinder at ({x:g}, {y:g}) of radius {radius:g} m; allowed +-1000 m and 0..10 m"
-            )
+            raise self.fail(f"cylinder at ({x:g}, {y:g}) of radius {radius:g} m; allowed +-1000 m and 0..10 m")
         self.cylinders.append((x, y, radius))
 
 
@@ -302,9 +292,7 @@ def _read_npz(file: Path, wanted: dict[str, tuple[str, int]]) -> dict[str, NDArr
                     raise UserError(f"{file}: key {key} is missing")
                 array = archive[key]
                 if array.dtype.kind != kind or array.ndim != ndim or not np.isfinite(array).all():
-                    raise UserError(
-                        f"{file}: {key}: got {array.dtype}{array.shape}; expected {ndim} finite axes"
-                    )
+                    raise UserError(f"{file}: {key}: got {array.dtype}{array.shape}; expected {ndim} finite axes")
                 found[key] = array
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise UserError(f"{file}: not a readable npz file ({error})") from error
