@@ -8,10 +8,10 @@ A rollout is one self-contained blob, the same in the spool file and on the wire
     arrays    scan (n + 1, 720) float16 | rest of the observation (n + 1, 9) float32
               | actions (n, a) float32 | rewards (n,) float32
 
-The scan travels as float16, the form replay keeps it in: 102 KB an episode of 50 transitions would be
-150 KB in float32. Scaled ranges lie in [-1, 1] over 0..2 m, so rounding moves a beam by at most 2^-12, which
-is 0.24 mm of range, a fortieth of the lidar's noise. Decoding gives exactly the float16 values (as float32),
-so storing them as float16 again loses nothing. Everything else is float32, bit for bit.
+The scan travels as float16, so 50 transitions take 77 KB instead of 150 KB. Scaled ranges lie in [-1, 1] over
+0..2 m, so rounding moves a beam by at most 2^-12, which is 0.24 mm of range, far below a lidar's noise.
+Decoding gives exactly the float16 values (as float32), so a replay that keeps them as float16 loses nothing
+more. Everything else is float32, bit for bit.
 
 Nothing received is trusted: sizes are checked against the layout before any array exists, then dtype, shape,
 range and finiteness. Every failure is a ValueError whose text can be sent back.
@@ -136,6 +136,14 @@ def decode_rollout(blob: bytes) -> Rollout:
     rollout.check()
     _check_scan(observations[:, SCAN], 1.0)
     return rollout
+
+
+def transitions_in(blob: bytes) -> int:
+    """How many transitions the blob says it holds; ValueError if it is not a rollout."""
+    if len(blob) < _PREFIX.size:
+        raise ValueError(f"rollout: got {len(blob)} bytes")
+    _, length = _PREFIX.unpack_from(blob)
+    return _layout_sizes(unpack_map(blob[_PREFIX.size : _PREFIX.size + length], MAX_LAYOUT_BYTES))[0]
 
 
 def is_intact(blob: bytes) -> bool:
