@@ -66,7 +66,7 @@ class Spool:
             return len(self._sizes)
 
     @property
-    def bytes(self) -> int:
+    def pending_bytes(self) -> int:
         with self._changed:
             return sum(self._sizes.values())
 
@@ -103,7 +103,7 @@ class Spool:
             return seq
 
     def peek(self, timeout_s: float = 0.0) -> tuple[int, bytes] | None:
-        """(seq, blob) of the oldest pending rollout; None if there is none within `timeout_s` or if stopped."""
+        """(seq, blob) of the oldest pending rollout; None if none came within `timeout_s` or before `stop`."""
         with self._changed:
             self._changed.wait_for(lambda: self._stopped or bool(self._sizes), timeout_s)
             if not self._sizes:
@@ -131,8 +131,8 @@ class Spool:
         with self._changed:
             if expected > self._next and self._sizes:
                 raise UserError(
-                    f"spool {self.folder}: holds rollouts up to number {self._next - 1}, but the learner already "
-                    f"has {expected} of {self.owner}; the folder comes from a backup or another machine used "
+                    f"spool {self.folder}: holds rollouts up to number {self._next - 1}, but the learner "
+                    f"already has {expected} of {self.owner}; the folder comes from a backup or another machine used "
                     "this actor id; give this actor another id or empty the folder"
                 )
             for seq in [seq for seq in self._sizes if seq < expected]:
@@ -212,9 +212,13 @@ class Spool:
             values: dict[str, Any] = json.loads(path.read_bytes())
             owner, following = str(values["owner"]), int(values["next_seq"])
         except (ValueError, TypeError, KeyError) as error:
-            raise UserError(f"{path}: damaged ({error}); remove the folder to start this actor anew") from error
+            raise UserError(
+                f"{path}: damaged ({error}); remove the folder to start this actor anew"
+            ) from error
         if owner != self.owner:
-            raise UserError(f"spool {self.folder}: belongs to {owner}, not to {self.owner}; use another folder")
+            raise UserError(
+                f"spool {self.folder}: belongs to {owner}, not to {self.owner}; use another folder"
+            )
         return following
 
     def _write_counter(self) -> None:
@@ -231,7 +235,9 @@ class Spool:
             raise self._cannot_write(error) from error
 
     def _cannot_write(self, error: OSError) -> UserError:
-        return UserError(f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder")
+        return UserError(
+            f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder"
+        )
 
 
 def _lock(folder: Path) -> int:
@@ -243,7 +249,8 @@ def _lock(folder: Path) -> int:
         holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
         raise UserError(
-            f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
+            f"spool {folder}: in use by process {holder}; two actors cannot share a folder, "
+            "give each its own id"
         ) from error
     os.truncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)

@@ -55,7 +55,10 @@ class Claims:
                 return
             self._tokens.discard((actor, incarnation))
             if self._owners.get(actor, ("", 0.0))[0] == incarnation:
-                self._owners[actor] = (incarnation, float("-inf"))  # free to take, still its own if it returns
+                self._owners[actor] = (
+                    incarnation,
+                    float("-inf"),
+                )  # free to take, still its own if it returns
 
     def close(self) -> None:
         self._watch.close()

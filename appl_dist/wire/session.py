@@ -43,11 +43,11 @@ def _why(settings: WireSettings, listen: bool, error: str) -> str:
             "stop it or choose another port"
         )
     if listen:
-        return f"wire.endpoint: cannot listen on {settings.endpoint}: {error.split(' at /')[0]}"
+        return f"wire.endpoint: cannot listen on {settings.endpoint}: {error.split(' at /', 1)[0]}"
     return (
-        f"wire.endpoint: no learner answered at {settings.endpoint} within {settings.timeout_s:g} s; either no "
-        "learner runs there, or it refused the credentials (user, password or certificates; the wire does not "
-        "say which)"
+        f"wire.endpoint: no learner answered at {settings.endpoint} within {settings.timeout_s:g} s; either "
+        "no learner runs there, or it refused the credentials (user, password or certificates; the wire does "
+        "not say which)"
     )
 
 
@@ -72,10 +72,13 @@ def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
         },
     }
     if settings.user or settings.users_file:
-        transport["auth"] = {"usrpwd": _drop_empty(
-            user=settings.user, password=settings.password,
-            dictionary_file=settings.users_file if listen else "",
-        )}
+        transport["auth"] = {
+            "usrpwd": _drop_empty(
+                user=settings.user,
+                password=settings.password,
+                dictionary_file=settings.users_file if listen else "",
+            )
+        }
     if settings.endpoint.startswith("tls/"):
         transport["link"]["tls"] = _drop_empty(
             root_ca_certificate=settings.tls_ca,
@@ -102,7 +105,10 @@ def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
 
 def _access_control() -> dict[str, Any]:
     """Nobody but the learner may publish weights or state, or answer in its place."""
-    said = {"messages": ["put", "delete", "declare_queryable", "reply"], "key_exprs": list(keys.LEARNER_SERVES)}
+    said = {
+        "messages": ["put", "delete", "declare_queryable", "reply"],
+        "key_exprs": list(keys.LEARNER_SERVES),
+    }
     tokens = {"messages": ["liveliness_token"], "key_exprs": list(keys.LEARNER_TOKENS)}
     deny = {"permission": "deny", "flows": ["ingress"]}
     return {
@@ -225,8 +231,12 @@ class _ReceivedQuery(_Received):
     def reply(self, payload: bytes, attachment: bytes = b"") -> None:
         try:
             with self._message as query:  # leaving the block tells the sender that no more answers come
-                query.reply(query.key_expr, payload, attachment=attachment or None,
-                            congestion_control=zenoh.CongestionControl.BLOCK)
+                query.reply(
+                    query.key_expr,
+                    payload,
+                    attachment=attachment or None,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
         except Exception as error:  # the sender has gone, or a second answer
             log.debug("reply: %s", error)
 

@@ -57,6 +57,7 @@ class UploadServer:
         bus: Bus,
         run_id: str,
         sink: UploadSink,
+        *,
         epoch: int = 0,
         grace_s: float = 3.0,
         max_waiting: int = 1024,
@@ -153,7 +154,9 @@ class UploadServer:
                 )
             return Ack("stored", expected=self._sink.expected_seq(header.actor), epoch=self._epoch)
         if header.epoch != self._epoch or not self._claims.holds(header.actor, header.incarnation):
-            return Ack("hello", epoch=self._epoch, reason="this learner does not know this process; say hello")
+            return Ack(
+                "hello", epoch=self._epoch, reason="this learner does not know this process; say hello"
+            )
         return self._sink.store(header, rollout)
 
     def _refusal(self, header: UploadHeader, reason: str) -> Ack:

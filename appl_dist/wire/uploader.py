@@ -16,7 +16,14 @@ from typing import Protocol
 from appl_dist.errors import UserError
 from appl_dist.wire import keys
 from appl_dist.wire.bus import Bus
-from appl_dist.wire.codec import MAX_HEADER_BYTES, Ack, UploadHeader, decode_header, encode_header, transitions_in
+from appl_dist.wire.codec import (
+    MAX_HEADER_BYTES,
+    Ack,
+    UploadHeader,
+    decode_header,
+    encode_header,
+    transitions_in,
+)
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +56,7 @@ class Uploader:
         run_id: str,
         actor_id: str,
         spool: SpoolLike,
+        *,
         timeout_s: float = 5.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -144,7 +152,8 @@ class Uploader:
         if ack.expected < header.seq:
             log.warning(
                 "the learner came back without the %d rollouts it acked last of actor %s",
-                header.seq - ack.expected, self.actor_id,
+                header.seq - ack.expected,
+                self.actor_id,
             )
         self._epoch = ack.epoch
         self._spool.align(ack.expected)
