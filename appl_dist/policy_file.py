@@ -192,11 +192,13 @@ def _space_from_plain(plain: Any) -> ParameterSpace:
     parameters = []
     for i, row in enumerate(rows):
         at = f"space.parameters[{i}]"
-        numbers = [float(_take(row, k, (int, float), f"{at}.{k}")) for k in ("default", "low", "high")]
-        if not all(map(math.isfinite, numbers)):
+        default, low, high = (
+            float(_take(row, k, (int, float), f"{at}.{k}")) for k in ("default", "low", "high")
+        )
+        if not all(map(math.isfinite, (default, low, high))):
             raise ValueError(f"{at}: a default or bound is not finite")
         unit, integer = _take(row, "unit", str, f"{at}.unit"), _take(row, "integer", bool, f"{at}.integer")
-        parameters.append(Parameter(_take(row, "name", str, f"{at}.name"), *numbers, unit, integer))
+        parameters.append(Parameter(_take(row, "name", str, f"{at}.name"), default, low, high, unit, integer))
     if not parameters:
         raise ValueError("space.parameters: is empty")
     space = ParameterSpace(name, tuple(parameters))

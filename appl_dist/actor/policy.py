@@ -112,7 +112,8 @@ def load_policy(spec: str, space: ParameterSpace) -> MLPPolicy | StaticPolicy:
     if not Path(spec).is_file():
         named = ", ".join(PUBLISHED_SETS)
         raise UserError(
-            f"policy {spec!r}: no such file, nor a name. Allowed: default, {named}, set:NAME=VALUE,..., or a file"
+            f"policy {spec!r}: no such file, nor a name. "
+            f"Allowed: default, {named}, set:NAME=VALUE,..., or a policy file"
         )
     return policy_from_file(PolicyFile.load(spec), space, spec)
 
