@@ -243,7 +243,7 @@ class Replay:
             self._stored += n
 
     def _evict(self, first_row: int, surplus: int) -> None:
-        """Drop the oldest rollouts: any starting before virtual row `first_row`, and `surplus` transitions."""
+        """Drop the oldest rollouts: those that start before virtual row `first_row`, then `surplus` more."""
         inserted, evicted = self.rollouts_total, int(self._header.data["evicted"][0])
         while evicted < inserted and (self._tail < first_row or surplus > 0):
             old = self._index.data[evicted % len(self._index.data)]
