@@ -93,7 +93,9 @@ def make_methods(methods: Sequence[tuple[str, str]]) -> tuple[Method, ...]:
     labels = [label for label, _ in methods]
     for label in labels:
         if not label or labels.count(label) > 1 or "\n" in label:
-            raise UserError(f"methods: label {label!r} is empty or used twice; labels name the rows of results")
+            raise UserError(
+                f"methods: label {label!r} is empty or used twice; labels name the rows of results"
+            )
     result = []
     for label, spec in methods:
         load_policy(spec, DWA)

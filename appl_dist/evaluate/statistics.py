@@ -25,7 +25,7 @@ BOOTSTRAP_SAMPLES = 2000
 
 @dataclass(frozen=True)
 class Samples:
-    """Counted times of one method: `times_s[world]` (k,) by trial index `trials[world]` (k,), and successes."""
+    """One method's counted times: per world (k,) seconds, the (k,) trial numbers, and successes."""
 
     times_s: Mapping[int, Array]
     trials: Mapping[int, NDArray[np.int64]]
@@ -160,7 +160,8 @@ def welch_p(a: Array, b: Array) -> float:
         return 1.0
     if np.ptp(a) == 0.0 and np.ptp(b) == 0.0:
         return 1.0 if a[0] == b[0] else 0.0
-    return float(stats.ttest_ind(a, b, equal_var=False).pvalue)
+    moments = (a.mean(), a.std(ddof=1), len(a), b.mean(), b.std(ddof=1), len(b))
+    return float(stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
 
 
 def wilson_interval(successes: int, count: int, confidence: float = 0.95) -> tuple[float, float]:

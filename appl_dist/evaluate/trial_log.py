@@ -107,7 +107,8 @@ class TrialLog:
             self._write(header)
             return
         magic, columns = header.split(b"\n")[:2]
-        first, second = (data.split(b"\n", 2) + [b""])[:2]
+        first, _, rest = data.partition(b"\n")
+        second = rest.partition(b"\n")[0]
         if not first.startswith(_MAGIC.encode()):
             raise UserError(f"{self.path}: is not a trial log; move it away or use another folder")
         if first != magic:

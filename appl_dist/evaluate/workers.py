@@ -14,7 +14,7 @@ import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -80,10 +80,9 @@ def _share_out(jobs: Sequence[Any], crew: dict[Connection, Any]) -> Iterator[Any
 def _send_next(connection: Connection, waiting: Iterator[Any], busy: dict[Connection, Any]) -> None:
     for job in waiting:
         busy[connection] = job
-        try:
+        # If the worker has died, reading from it says so, with the exit code.
+        with suppress(BrokenPipeError, ConnectionResetError):
             connection.send(job)
-        except (BrokenPipeError, ConnectionResetError):
-            pass  # the worker died; reading from it says so, with the exit code
         return
 
 

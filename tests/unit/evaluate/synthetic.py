@@ -59,3 +59,15 @@ def synthetic_trial(job: Job, gain_s: float) -> Trial:
         decisions=10,
         recoveries=0,
     )
+
+
+@dataclass(frozen=True)
+class ReadEnvironment:
+    """A runner whose jobs are names of environment variables."""
+
+    def __call__(self) -> ReadEnvironment.Runner:
+        return ReadEnvironment.Runner()
+
+    class Runner:
+        def __call__(self, name: str) -> tuple[str, str]:
+            return name, os.environ.get(name, "")

@@ -18,7 +18,8 @@ import pytest
 from appl_dist.errors import UserError
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Method, Trial, make_jobs, run_trials, trial_seed
-from tests.unit.evaluate.synthetic import Synthetic
+from appl_dist.evaluate.workers import run_parallel
+from tests.unit.evaluate.synthetic import ReadEnvironment, Synthetic
 
 METHODS = (Method("default", "default"), Method("fast", "set:fast"))
 ROOT = Path(__file__).parents[3]
@@ -168,10 +169,14 @@ def test_no_worker_outlives_an_interrupted_evaluation(tmp_path: Path, how: signa
     assert log.read_bytes().count(b"\n") - 2 >= rows - 1
 
 
-def test_workers_use_one_thread_and_no_heavy_library(tmp_path: Path) -> None:
+def test_workers_get_one_thread_each_and_no_heavy_library() -> None:
+    before = os.environ.get("OMP_NUM_THREADS")
+    told = dict(run_parallel(["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"], ReadEnvironment(), 2))
+    assert told == {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    assert os.environ.get("OMP_NUM_THREADS") == before
     loaded = _python(
-        "import sys; import appl_dist.evaluate.trials; "
-        "print([m for m in ('torch', 'scipy', 'matplotlib', 'zenoh') if m in sys.modules])"
+        "import sys; import appl_dist.evaluate.runner; "
+        "print([m for m in ('torch', 'scipy', 'matplotlib', 'zenoh', 'rich') if m in sys.modules])"
     )
     assert loaded.strip() == "[]"
 
@@ -191,7 +196,11 @@ def _environment() -> dict[str, str]:
 
 def _python(script: str) -> str:
     return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)], env=_environment(), check=True, capture_output=True, text=True
+        [sys.executable, "-c", textwrap.dedent(script)],
+        env=_environment(),
+        check=True,
+        capture_output=True,
+        text=True,
     ).stdout
 
 
