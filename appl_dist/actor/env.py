@@ -73,7 +73,7 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
             self._order = []
         index = (options or {}).get("world")
         if index is None:
-            index = self._next_world()
+            index = self.next_world()
         if index not in self.worlds:
             raise ValueError(f"options.world: got {index}; this environment has {len(self.worlds)} other worlds")
         self.world = self.worlds[index]
@@ -106,7 +106,8 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
     def close(self) -> None:
         self.loop.simulator.close()
 
-    def _next_world(self) -> int:
+    def next_world(self) -> int:
+        """Index of the next world in the seeded order that visits every world before any again."""
         if not self._order:
             self._order = [int(i) for i in self.np_random.permutation(list(self.worlds))]
         return self._order.pop()
