@@ -17,7 +17,7 @@ from appl_dist.actor.rollout import EpisodeResult, run_episode
 from appl_dist.errors import UserError
 from appl_dist.evaluate.trials import Job, Method, Trial
 from appl_dist.sim.worlds import World
-from appl_dist.spec import DWA
+from appl_dist.spec import DWA, ParameterSpace
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,9 @@ def trial_of(job: Job, result: EpisodeResult) -> Trial:
     )
 
 
-def make_methods(methods: Sequence[tuple[str, str]]) -> tuple[Method, ...]:
+def make_methods(
+    methods: Sequence[tuple[str, str]], space: ParameterSpace | None = None
+) -> tuple[Method, ...]:
     """Check every (label, policy specification) by loading it; UserError before any process is started.
 
     A policy in a file is fingerprinted by the file's content, any other by its specification.
@@ -98,7 +100,7 @@ def make_methods(methods: Sequence[tuple[str, str]]) -> tuple[Method, ...]:
             )
     result = []
     for label, spec in methods:
-        load_policy(spec, DWA)
+        load_policy(spec, space or DWA)
         path = Path(spec.split(":", 1)[-1])
         content = path.read_bytes() if path.is_file() else spec.encode()
         result.append(Method(label, spec, hashlib.sha256(content).hexdigest()[:12]))

@@ -13,7 +13,7 @@ import os
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -29,7 +29,7 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 def run_parallel(
     jobs: Sequence[Any], make_runner: Callable[[], Callable[[Any], Any]], workers: int
-) -> Iterator[Any]:
+) -> Generator[Any, None, None]:
     """Yield `runner(job)` for every job in order of completion, on `workers` processes (0: in this one).
 
     Close the generator (`contextlib.closing`) to be sure that workers end when the caller stops early.
