@@ -22,7 +22,16 @@ from appl_dist.planner.navigator import Navigator
 from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings, Simulator
 from appl_dist.sim.worlds import World
-from appl_dist.spec import BEARING, DWA, LIDAR_CLIP_M, OBSERVATION_SIZE, PARAMETERS, SCAN, FloatArray, ParameterSpace
+from appl_dist.spec import (
+    BEARING,
+    DWA,
+    LIDAR_CLIP_M,
+    OBSERVATION_SIZE,
+    PARAMETERS,
+    SCAN,
+    FloatArray,
+    ParameterSpace,
+)
 
 
 class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):

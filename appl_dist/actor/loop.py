@@ -56,7 +56,12 @@ class NavigationLoop:
         rng = np.random.default_rng([seed, 0x7151])
         phase = [
             int(rng.integers(period)) if t.random_phases else 0
-            for period in (t.local_map_period_ms, t.global_map_period_ms, t.plan_period_ms, t.control_period_ms)
+            for period in (
+                t.local_map_period_ms,
+                t.global_map_period_ms,
+                t.plan_period_ms,
+                t.control_period_ms,
+            )
         ]
         self.simulator.reset(world, seed, start)
         self.origin = np.array([start[0], start[1], 0.0])

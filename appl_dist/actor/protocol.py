@@ -68,11 +68,18 @@ PROTOCOLS = {
         Protocol("appl", None, APPL_START_Y_M, None, 10.0, 0.0, 50.0, 70.0, collision_ends=False),
         Protocol("ros_jackal", None, APPL_START_Y_M, None, 11.0, 0.0, 100.0, 100.0, collision_ends=False),
         Protocol(
-            "challenge", -2.25, 3.0, 10.0, None, 1.0, 100.0, 100.0, collision_ends=True, clock_starts_after_m=0.1
+            "challenge",
+            -2.25,
+            3.0,
+            10.0,
+            None,
+            1.0,
+            100.0,
+            100.0,
+            collision_ends=True,
+            clock_starts_after_m=0.1,
         ),
     )
 }
 # The recorded Gazebo runs of default DWA started at x = -2 and stopped 0.5 m before the goal.
-PROTOCOLS["challenge_2022"] = replace(
-    PROTOCOLS["challenge"], name="challenge_2022", start_x_m=-2.0, goal_radius_m=0.5
-)
+PROTOCOLS["challenge_2022"] = replace(PROTOCOLS["challenge"], name="challenge_2022", start_x_m=-2.0, goal_radius_m=0.5)

@@ -61,5 +61,7 @@ def _parse(split: str) -> list[int]:
         elif len(numbers) in (2, 3) and all(n >= 0 for n in numbers[:2]) and numbers[-1] > 0:
             indices += range(*numbers)
         else:
-            raise UserError(f"worlds {split!r}: got {part!r}; expected train, test, all, an index, or start:stop[:step]")
+            raise UserError(
+                f"worlds {split!r}: got {part!r}; expected train, test, all, an index, or start:stop[:step]"
+            )
     return list(dict.fromkeys(indices))
