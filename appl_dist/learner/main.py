@@ -74,6 +74,9 @@ class Learner:
         self.metrics = MetricsWriter(run.folder)
         self._started = time.monotonic()
         self._rates = _Rates()
+        self._publishing = _Every(settings.publish_every_s)
+        self._reporting = _Every(settings.report_every_s)
+        self._saving = _Every(settings.checkpoint_every_s)
         self._last: dict[str, float] = {}
         self._status = self._status_now()
         self.ingest = Ingest(self.replay, self.limiter, run.run_id)
@@ -90,31 +93,39 @@ class Learner:
 
         Raises UserError, naming the last good checkpoint, if training diverges.
         """
-        s = self.settings
-        next_publish = next_report = next_checkpoint = 0.0
+        while not stop() and not self.finished:
+            if not self.step():
+                time.sleep(IDLE_S)
+        self.end()
+
+    def step(self) -> bool:
+        """One update if the limiter allows it, and whatever else is due; whether there was an update."""
+        may_learn = self.limiter.may_sample(self.settings.td3.batch_size)
         try:
-            while not stop() and not self._finished():
-                if self.limiter.may_sample(s.td3.batch_size):
-                    self._update()
-                else:
-                    time.sleep(IDLE_S)
-                now = time.monotonic()
-                if now >= next_publish:
-                    self._publish()
-                    next_publish = now + s.publish_every_s
-                if now >= next_report:
-                    self._report()
-                    next_report = now + s.report_every_s
-                if now >= next_checkpoint:
-                    if next_checkpoint:
-                        self.save()
-                    next_checkpoint = now + s.checkpoint_every_s
+            if may_learn:
+                self._update()
+            self._publishing.run(self._publish)
+            self._reporting.run(self._report)
+            self._saving.run(self.save)
         except Diverged as error:
             raise UserError(
                 f"training diverged: {error}; the last good checkpoint is {self.checkpoints.newest() or 'none'}, "
                 "resume from it with other learner settings"
             ) from None
-        self._end()
+        return may_learn
+
+    def end(self) -> None:
+        """Stop the actors, take what they still send, and keep the final policy."""
+        self.control.set_state("stop")
+        self.limiter.open()
+        deadline = time.monotonic() + DRAIN_S
+        while time.monotonic() < deadline and any(m.role == "actor" and m.alive for m in self.roster.members()):
+            time.sleep(0.05)
+        self.version += 1
+        self.save()
+        self.checkpoints.wait()
+        self._report()
+        log.info("ended at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
 
     def save(self) -> None:
         """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
@@ -126,7 +137,9 @@ class Learner:
         for part in (self.control, self.server, self.publisher, self.roster, self.checkpoints, self.metrics, self.replay):
             part.close()
 
-    def _finished(self) -> bool:
+    @property
+    def finished(self) -> bool:
+        """Whether the run has its transitions, or its minutes are over."""
         minutes = (time.monotonic() - self._started) / 60.0
         return self.replay.transitions_total >= self.run_info.transitions or 0.0 < self.run_info.minutes <= minutes
 
@@ -213,19 +226,6 @@ class Learner:
             "actors": actors,
         }
 
-    def _end(self) -> None:
-        """Stop the actors, take what they still send, and keep the final policy."""
-        self.control.set_state("stop")
-        self.limiter.open()
-        deadline = time.monotonic() + DRAIN_S
-        while time.monotonic() < deadline and any(m.role == "actor" and m.alive for m in self.roster.members()):
-            time.sleep(0.05)
-        self.version += 1
-        self.save()
-        self.checkpoints.wait()
-        self._report()
-        log.info("ended at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
-
 
 class _Sink:
     """Ingest, with the episode figures told of every rollout that was stored."""
@@ -241,6 +241,20 @@ class _Sink:
 
     def expected_seq(self, actor_id: str) -> int:
         return self._ingest.expected_seq(actor_id)
+
+
+class _Every:
+    """Runs something once a period, first after one period."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._due = time.monotonic() + period_s
+
+    def run(self, action: Callable[[], None]) -> None:
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + self._period_s
+            action()
 
 
 class _Rates:

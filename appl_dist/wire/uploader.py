@@ -64,6 +64,7 @@ class Uploader:
         self.actor_id = keys.check_name("actor_id", actor_id)
         self.counts: Counter[str] = Counter()
         self.refused = ""
+        self.held = False  # the learner's last word was to wait
         self._bus = bus
         self._spool = spool
         self._timeout_s = timeout_s
@@ -112,11 +113,15 @@ class Uploader:
                 if head is None:
                     continue
                 ack = self._send(*head)
-                if ack is None or ack.status == "busy":
-                    self._closing.wait(max(wait_s, ack.retry_s if ack else 0.0))
+                self.held = ack is not None and ack.status == "busy"
+                if ack is None:
+                    self._closing.wait(wait_s)
                     wait_s = min(2 * wait_s, _BACKOFF_S[1])
                     continue
                 wait_s = _BACKOFF_S[0]
+                if self.held:
+                    self._closing.wait(ack.retry_s)
+                    continue
                 if ack.status in ("stored", "duplicate"):
                     self._spool.ack(head[0])
                 elif ack.status == "hello":
