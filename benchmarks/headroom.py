@@ -220,21 +220,15 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=(__doc__ or "").split("\n", 1)[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument(
-        "--worlds", default="", help="BARN worlds (folder, tarball or npz); empty: generated ones"
-    )
+    parser.add_argument("--worlds", default="", help="BARN worlds (folder, tarball or npz); empty: generated ones")
     parser.add_argument("--world-count", type=int, default=300, help="how many to generate")
     parser.add_argument("--train", default="train", help="worlds to tune on")
     parser.add_argument("--test", default="test", help="worlds to report on")
     parser.add_argument("--test-count", type=int, default=20, help="how many of these, evenly spread")
     parser.add_argument("--timings", nargs="+", default=["gazebo", "ideal"], choices=list(TIMINGS))
-    parser.add_argument(
-        "--sets", type=int, default=32, help="parameter sets tried, default and fast included"
-    )
+    parser.add_argument("--sets", type=int, default=32, help="parameter sets tried, default and fast included")
     parser.add_argument("--first-trials", type=int, default=8, help="trials a set before the first halving")
-    parser.add_argument(
-        "--choose-trials", type=int, nargs="+", default=[2, 6], help="trials a set, per world"
-    )
+    parser.add_argument("--choose-trials", type=int, nargs="+", default=[2, 6], help="trials a set, per world")
     parser.add_argument("--trials", type=int, default=8, help="fresh trials a world to report")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--seed", type=int, default=0)
@@ -247,9 +241,7 @@ def _options() -> argparse.Namespace:
         or options.first_trials < 1
         or min(options.choose_trials) < 1
     ):
-        parser.error(
-            "--sets, --trials: at least 2; --test-count, --first-trials, --choose-trials: at least 1"
-        )
+        parser.error("--sets, --trials: at least 2; --test-count, --first-trials, --choose-trials: at least 1")
     return options
 
 
