@@ -34,6 +34,7 @@ from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.timing import IDEAL, TimingSettings
 from appl_dist.actor.worldset import select_worlds
 from appl_dist.errors import UserError
+from appl_dist.evaluate.output import write_atomic
 from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, make_methods
 from appl_dist.evaluate.statistics import collect, compare, summarise
@@ -41,7 +42,7 @@ from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Job, Method, Trial, run_jobs, trial_seed
 from appl_dist.spec import DWA
 
-TIMINGS = {"gazebo": TimingSettings(), "ideal": IDEAL}
+TIMINGS = {"gazebo": TimingSettings(), "robot": TimingSettings(cpu_factor=6.0), "ideal": IDEAL}
 # Trial numbers of the three stages, hence their seeds, never meet.
 TUNE, CHOOSE, MEASURE = 0, 10_000, 20_000
 
@@ -51,18 +52,18 @@ Runs = Callable[[Sequence[tuple[str, int, int]]], list[Trial]]  # (label, world,
 def main() -> int:
     options = _options()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
+    results: dict[str, Any] = {}
     try:
-        results = {name: measure(name, options) for name in options.timings}
+        for name in options.timings:
+            results[name] = measure(name, options)
+            text = json.dumps({"command": sys.argv, "timings": results}, indent=1)
+            write_atomic(Path(options.folder) / "headroom.json", text + "\n")
     except UserError as error:
         print(f"headroom: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("stopped; the same command goes on from here", file=sys.stderr)
         return 130
-    path = Path(options.folder) / "headroom.json"
-    partial = path.with_suffix(".tmp")
-    partial.write_text(json.dumps({"command": sys.argv, "timings": results}, indent=1))
-    os.replace(partial, path)
     Console().print(table(results))
     return 0
 
