@@ -121,7 +121,7 @@ def _write_figures(folder: Path, analysis: Analysis, metrics: str | Path | None)
                 name = f"difference_{_slug(method)}_{_slug(base)}"
                 figures.save_figure(figures.difference_figure(analysis, method, base), folder / name)
     if metrics is not None:
-        curve = figures.read_metrics(metrics, analysis.failed_time_s)
+        curve = figures.read_metrics(metrics)
         group = next((g for g in analysis.groups if g.name == "train"), analysis.groups[0])
         lines = {m: (group.summaries[m].mean_time_s, group.summaries[m].success) for m in analysis.baselines}
         figures.save_figure(figures.learning_figure(*curve, lines), folder / "learning")

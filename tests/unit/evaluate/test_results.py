@@ -131,27 +131,29 @@ def test_ecdf_ends_at_the_success_rate() -> None:
     assert np.asarray(y).tolist() == [0.0, 0.25, 0.5, 0.75, 0.75]
 
 
-def test_learning_curve_averages_episodes_and_counts_failures(tmp_path: Path) -> None:
+def test_learning_curve_shows_the_learners_means_and_the_baselines(tmp_path: Path) -> None:
     file = tmp_path / "metrics.jsonl"
-    rows = [{"transitions": 10 * (i + 1), "time_s": 20.0, "success": i % 2 == 0} for i in range(6)]
-    lines = [json.dumps(r) for r in rows] + ['{"loss": 1}', '{"transitions": 70, "time_s": NaN, "success": 1}', '{"tra']
+    rows = [{"transitions": 10 * i, "time_s": 30.0 - i, "success": 0.1 * i} for i in range(1, 4)]
+    lines = [json.dumps(r) for r in rows] + [
+        '{"loss": 1}',
+        '{"transitions": 70, "time_s": null, "success": null}',
+        '{"tra',
+    ]
     file.write_text("\n".join(lines))
-    transitions, time_s, success = figures.read_metrics(file, failed_time_s=70.0)
-    assert transitions.tolist() == [10, 20, 30, 40, 50, 60]
-    assert time_s.tolist() == [20, 70, 20, 70, 20, 70]
-    figure = figures.learning_figure(transitions, time_s, success, {"default": (30.0, 0.9)}, smooth=2)
-    x, y = figure.axes[0].lines[0].get_data()
-    assert np.asarray(x).tolist() == [20, 30, 40, 50, 60]
-    assert np.asarray(y).tolist() == [45.0] * 5
+    transitions, time_s, success = figures.read_metrics(file)
+    assert transitions.tolist() == [10, 20, 30]
+    assert time_s.tolist() == [29, 28, 27]
+    figure = figures.learning_figure(transitions, time_s, success, {"default": (30.0, 0.9)})
+    assert [np.asarray(line.get_ydata()).tolist() for line in figure.axes[0].lines] == [[29, 28, 27], [30.0, 30.0]]
     assert figure.axes[1].lines[1].get_ydata()[0] == 0.9
 
 
 def test_metrics_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"none\.jsonl: No such file"):
-        figures.read_metrics(tmp_path / "none.jsonl", 70.0)
+        figures.read_metrics(tmp_path / "none.jsonl")
     (tmp_path / "empty.jsonl").write_text("{}\n")
     with pytest.raises(UserError, match="nothing to draw"):
-        figures.read_metrics(tmp_path / "empty.jsonl", 70.0)
+        figures.read_metrics(tmp_path / "empty.jsonl")
 
 
 def test_a_file_that_cannot_be_written_keeps_the_old_one(tmp_path: Path) -> None:
