@@ -34,6 +34,7 @@ from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.timing import IDEAL, TimingSettings
 from appl_dist.actor.worldset import select_worlds
 from appl_dist.errors import UserError
+from appl_dist.evaluate.output import write_atomic
 from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, make_methods
 from appl_dist.evaluate.statistics import collect, compare, summarise
@@ -41,7 +42,7 @@ from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Job, Method, Trial, run_jobs, trial_seed
 from appl_dist.spec import DWA
 
-TIMINGS = {"gazebo": TimingSettings(), "ideal": IDEAL}
+TIMINGS = {"gazebo": TimingSettings(), "robot": TimingSettings(cpu_factor=6.0), "ideal": IDEAL}
 # Trial numbers of the three stages, hence their seeds, never meet.
 TUNE, CHOOSE, MEASURE = 0, 10_000, 20_000
 
@@ -51,18 +52,18 @@ Runs = Callable[[Sequence[tuple[str, int, int]]], list[Trial]]  # (label, world,
 def main() -> int:
     options = _options()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
+    results: dict[str, Any] = {}
     try:
-        results = {name: measure(name, options) for name in options.timings}
+        for name in options.timings:
+            results[name] = measure(name, options)
+            text = json.dumps({"command": sys.argv, "timings": results}, indent=1)
+            write_atomic(Path(options.folder) / "headroom.json", text + "\n")
     except UserError as error:
         print(f"headroom: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("stopped; the same command goes on from here", file=sys.stderr)
         return 130
-    path = Path(options.folder) / "headroom.json"
-    partial = path.with_suffix(".tmp")
-    partial.write_text(json.dumps({"command": sys.argv, "timings": results}, indent=1))
-    os.replace(partial, path)
     Console().print(table(results))
     return 0
 
@@ -220,21 +221,15 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=(__doc__ or "").split("\n", 1)[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument(
-        "--worlds", default="", help="BARN worlds (folder, tarball or npz); empty: generated ones"
-    )
+    parser.add_argument("--worlds", default="", help="BARN worlds (folder, tarball or npz); empty: generated ones")
     parser.add_argument("--world-count", type=int, default=300, help="how many to generate")
     parser.add_argument("--train", default="train", help="worlds to tune on")
     parser.add_argument("--test", default="test", help="worlds to report on")
     parser.add_argument("--test-count", type=int, default=20, help="how many of these, evenly spread")
     parser.add_argument("--timings", nargs="+", default=["gazebo", "ideal"], choices=list(TIMINGS))
-    parser.add_argument(
-        "--sets", type=int, default=32, help="parameter sets tried, default and fast included"
-    )
+    parser.add_argument("--sets", type=int, default=32, help="parameter sets tried, default and fast included")
     parser.add_argument("--first-trials", type=int, default=8, help="trials a set before the first halving")
-    parser.add_argument(
-        "--choose-trials", type=int, nargs="+", default=[2, 6], help="trials a set, per world"
-    )
+    parser.add_argument("--choose-trials", type=int, nargs="+", default=[2, 6], help="trials a set, per world")
     parser.add_argument("--trials", type=int, default=8, help="fresh trials a world to report")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--seed", type=int, default=0)
@@ -247,9 +242,7 @@ def _options() -> argparse.Namespace:
         or options.first_trials < 1
         or min(options.choose_trials) < 1
     ):
-        parser.error(
-            "--sets, --trials: at least 2; --test-count, --first-trials, --choose-trials: at least 1"
-        )
+        parser.error("--sets, --trials: at least 2; --test-count, --first-trials, --choose-trials: at least 1")
     return options
 
 

@@ -28,14 +28,12 @@ BLUE, VERMILLION, GREY = "#0072B2", "#D55E00", "#B0B0B0"
 LINES = (BLUE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BASELINE_STYLES = {DEFAULT: ("#000000", "--"), FIXED: (VERMILLION, "-.")}
 WIDTH_IN = 7.0
-SMOOTH_EPISODES = 100  # the papers average training curves over 100 episodes
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "pdf.fonttype": 42,
-    "legend.frameon": False,
 }
 
 
@@ -68,7 +66,8 @@ def difference_figure(analysis: Analysis, method: str, versus: str) -> Figure:
         panel.set_xlim(0.0, len(order) + 1.0)
         panel.set_ylabel(f"{method} − {versus}, s")
         panel.set_title(f"{group.name}: {len(order)} worlds", loc="left", fontsize=9)
-        panel.legend(loc="upper left", fontsize=8)
+        mostly_faster = -difference_s[0] > difference_s[-1]  # the emptier corner of a sorted row of bars
+        panel.legend(loc="lower right" if mostly_faster else "upper left", fontsize=8, frameon=False)
     panels[-1].set_xlabel("worlds, ordered by difference of mean traversal time")
     return figure
 
@@ -83,15 +82,13 @@ def ecdf_figure(analysis: Analysis) -> Figure:
             reached_s = times_s[times_s < analysis.failed_time_s]
             steps_s = np.concatenate([[0.0], reached_s, [analysis.limit_s]])
             share = np.append(np.arange(len(reached_s) + 1), len(reached_s)) / len(times_s)
-            panel.step(
-                steps_s, share, where="post", color=colour, linestyle=style, linewidth=1.5, label=method
-            )
+            panel.step(steps_s, share, where="post", color=colour, linestyle=style, linewidth=1.5, label=method)
         panel.set_xlim(0.0, analysis.limit_s)
         panel.set_ylim(0.0, 1.02)
         panel.grid(color="#E0E0E0", linewidth=0.6)
         panel.set_ylabel("share at the goal")
         panel.set_title(f"{group.name}: {len(group.worlds)} worlds", loc="left", fontsize=9)
-    panels[0].legend(loc="upper left", fontsize=8)
+    panels[0].legend(loc="upper left", fontsize=8, frameon=False)
     panels[-1].set_xlabel("traversal time, s")
     return figure
 
@@ -101,18 +98,15 @@ def learning_figure(
     time_s: NDArray[Any],
     success: NDArray[Any],
     baselines: Mapping[str, tuple[float, float]],
-    *,
-    smooth: int = SMOOTH_EPISODES,
 ) -> Figure:
-    """Traversal time and success of training episodes against transitions, all (n,), in order.
+    """Traversal time and success while training against transitions, all (n,): running means of episodes.
 
-    Means over `smooth` episodes; `baselines`: label to (mean traversal time in s, success) drawn as
-    lines. Times must count failures as the baselines do.
+    `baselines`: label to (mean traversal time in s, success), drawn as lines; as in the running means, a
+    failure counts the protocol's `failed_time_s` in the times.
     """
     figure, (above, below) = _panels(2, height_in=2.0, share_x=True)
     for panel, values, name in ((above, time_s, "traversal time, s"), (below, success, "success")):
-        x, mean = _moving_mean(np.asarray(transitions, float), np.asarray(values, float), smooth)
-        panel.plot(x, mean, color=BLUE, linewidth=1.5, label=f"training, mean of {smooth} episodes")
+        panel.plot(transitions, values, color=BLUE, linewidth=1.5, label="while training, with exploration noise")
         for label, pair in baselines.items():
             colour, style = BASELINE_STYLES.get(label, (LINES[1], ":"))
             value = pair[0] if panel is above else pair[1]
@@ -120,15 +114,18 @@ def learning_figure(
         panel.grid(color="#E0E0E0", linewidth=0.6)
         panel.set_ylabel(name)
     below.set_ylim(0.0, 1.02)
-    above.legend(loc="best", fontsize=8)
+    below.set_xlim(0.0, float(np.max(transitions)))
+    below.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    above.legend(loc="upper right", fontsize=8, frameon=False)
     below.set_xlabel("transitions in replay")
     return figure
 
 
-def read_metrics(path: str | Path, failed_time_s: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Arrays for `learning_figure` of a training run's JSON lines with transitions, time_s and success.
+def read_metrics(path: str | Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Arrays for `learning_figure` from the learner's metrics.jsonl: transitions, time_s and success.
 
-    Other lines and a last line cut short are skipped; a failed episode counts `failed_time_s`.
+    time_s and success are the learner's running means, in which failures count already. Lines without
+    them (no episode yet) and a last line cut short are skipped.
     """
     try:
         lines = Path(path).read_text().splitlines()
@@ -142,7 +139,7 @@ def read_metrics(path: str | Path, failed_time_s: float) -> tuple[NDArray[Any], 
         except (ValueError, KeyError, TypeError):
             continue
         if all(math.isfinite(v) for v in row):
-            rows.append((row[0], row[1] if row[2] else failed_time_s, row[2]))
+            rows.append(row)
     if not rows:
         raise UserError(f"{path}: has no line with transitions, time_s and success; nothing to draw")
     transitions, time_s, success = np.array(sorted(rows, key=lambda r: r[0])).T
@@ -180,10 +177,3 @@ def _method_styles(methods: Sequence[str]) -> dict[str, tuple[str, str]]:
     others = [m for m in methods if m not in BASELINE_STYLES]
     own = {m: (LINES[i % len(LINES)], "-") for i, m in enumerate(others)}
     return {m: BASELINE_STYLES[m] if m in BASELINE_STYLES else own[m] for m in methods}
-
-
-def _moving_mean(x: NDArray[Any], values: NDArray[Any], width: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Means of `width` consecutive values (fewer if there are fewer), each at its last x."""
-    width = max(1, min(width, len(values)))
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    return x[width - 1 :], (total[width:] - total[:-width]) / width

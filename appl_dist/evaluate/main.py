@@ -81,9 +81,7 @@ def evaluate(
             on_trial=on_trial,
         )
     labels = [m.label for m in checked]
-    analysis = analyse(
-        trials, labels, chosen, limit_s=rules.limit_s, failed_time_s=rules.failed_time_s, seed=seed
-    )
+    analysis = analyse(trials, labels, chosen, limit_s=rules.limit_s, failed_time_s=rules.failed_time_s, seed=seed)
     summary = {
         "version": SUMMARY_VERSION,
         "protocol": asdict(rules),
@@ -123,8 +121,8 @@ def _write_figures(folder: Path, analysis: Analysis, metrics: str | Path | None)
                 name = f"difference_{_slug(method)}_{_slug(base)}"
                 figures.save_figure(figures.difference_figure(analysis, method, base), folder / name)
     if metrics is not None:
-        curve = figures.read_metrics(metrics, analysis.failed_time_s)
-        group = analysis.groups[0]
+        curve = figures.read_metrics(metrics)
+        group = next((g for g in analysis.groups if g.name == "train"), analysis.groups[0])
         lines = {m: (group.summaries[m].mean_time_s, group.summaries[m].success) for m in analysis.baselines}
         figures.save_figure(figures.learning_figure(*curve, lines), folder / "learning")
 
@@ -146,16 +144,12 @@ def _protocol(protocol: str | Protocol) -> Protocol:
 
 def _groups(groups: Mapping[str, Sequence[int]] | None, worlds: Sequence[World]) -> dict[str, list[int]]:
     known = {w.index for w in worlds}
-    chosen = {
-        name: list(dict.fromkeys(g)) for name, g in (groups or {"all": sorted(known)}).items() if len(g)
-    }
+    chosen = {name: list(dict.fromkeys(g)) for name, g in (groups or {"all": sorted(known)}).items() if len(g)}
     for name, indices in chosen.items():
         for index in indices:
             if index not in known:
                 some = f"{min(known)}..{max(known)}" if known else "none"
-                raise UserError(
-                    f"worlds: group {name!r} asks for world {index}; loaded are {len(known)}: {some}"
-                )
+                raise UserError(f"worlds: group {name!r} asks for world {index}; loaded are {len(known)}: {some}")
     if not chosen:
         raise UserError("worlds: got none; give at least one world to evaluate in")
     return chosen

@@ -18,6 +18,5 @@ def write_atomic(path: Path, data: str | bytes) -> None:
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise UserError(
-            f"{path}: {error.strerror}; finished trials are kept, "
-            "run the same command again to write the results"
+            f"{path}: {error.strerror}; finished trials are kept, run the same command again to write the results"
         ) from None

@@ -83,9 +83,7 @@ def trial_of(job: Job, result: EpisodeResult) -> Trial:
     )
 
 
-def make_methods(
-    methods: Sequence[tuple[str, str]], space: ParameterSpace | None = None
-) -> tuple[Method, ...]:
+def make_methods(methods: Sequence[tuple[str, str]], space: ParameterSpace | None = None) -> tuple[Method, ...]:
     """Check every (label, policy specification) by loading it; UserError before any process is started.
 
     A policy in a file is fingerprinted by the file's content, any other by its specification.
@@ -95,9 +93,7 @@ def make_methods(
     labels = [label for label, _ in methods]
     for label in labels:
         if not label or labels.count(label) > 1 or "\n" in label:
-            raise UserError(
-                f"methods: label {label!r} is empty or used twice; labels name the rows of results"
-            )
+            raise UserError(f"methods: label {label!r} is empty or used twice; labels name the rows of results")
     result = []
     for label, spec in methods:
         load_policy(spec, space or DWA)

@@ -92,9 +92,7 @@ class TrialLog:
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise UserError(
-                f"{self.path}: another evaluation is writing here; wait or use another folder"
-            ) from None
+            raise UserError(f"{self.path}: another evaluation is writing here; wait or use another folder") from None
 
     def _read(self) -> None:
         with open(self._fd, "rb", closefd=False) as file:

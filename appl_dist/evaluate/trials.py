@@ -100,9 +100,7 @@ def trial_seed(seed: int, world: int, trial: int) -> int:
     return int(np.random.SeedSequence([seed, world, trial]).generate_state(1, np.uint64)[0] >> np.uint64(11))
 
 
-def make_jobs(
-    methods: Sequence[Method], worlds: Sequence[int], trials: Iterable[int], seed: int
-) -> list[Job]:
+def make_jobs(methods: Sequence[Method], worlds: Sequence[int], trials: Iterable[int], seed: int) -> list[Job]:
     """Every method in every world for each trial index.
 
     Trial index outermost and methods innermost: an interrupted evaluation has about equally many

@@ -91,9 +91,7 @@ def _start(crew: dict[Connection, Any], make_runner: Callable[[], Any], workers:
     with _one_thread(), _interrupt_blocked():
         for number in range(workers):
             ours, theirs = context.Pipe()
-            process = context.Process(
-                target=_work, args=(theirs, make_runner), name=f"evaluate-{number}", daemon=True
-            )
+            process = context.Process(target=_work, args=(theirs, make_runner), name=f"evaluate-{number}", daemon=True)
             process.start()
             theirs.close()
             crew[ours] = process

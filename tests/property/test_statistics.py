@@ -29,11 +29,7 @@ def trial(method: str, world: int, number: int, time_s: float, success: bool = T
 
 
 def draw(method: str, mean_s: np.ndarray, trials: int, rng: np.random.Generator) -> list[SimpleNamespace]:
-    return [
-        trial(method, w, k, m + 2.0 * rng.standard_normal())
-        for w, m in enumerate(mean_s)
-        for k in range(trials)
-    ]
+    return [trial(method, w, k, m + 2.0 * rng.standard_normal()) for w, m in enumerate(mean_s) for k in range(trials)]
 
 
 @given(times, times)
@@ -133,9 +129,7 @@ def test_bootstrap_with_uneven_worlds_and_nothing() -> None:
 def test_order_of_trials_does_not_matter_and_pairs_are_by_number(worlds, random) -> None:  # type: ignore[no-untyped-def]
     rows = []
     for w, (a, b) in enumerate(worlds):
-        rows += [trial("a", w, k, t) for k, t in enumerate(a)] + [
-            trial("b", w, k, t) for k, t in enumerate(b)
-        ]
+        rows += [trial("a", w, k, t) for k, t in enumerate(a)] + [trial("b", w, k, t) for k, t in enumerate(b)]
     shuffled = rows[:]
     random.shuffle(shuffled)
     first, second = (

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pytest
 
 from appl_dist.spec import DWA
+from benchmarks import headroom
 
-headroom = pytest.importorskip("benchmarks.headroom", reason="needs the environment")
 LABELS = [f"set-{i}" for i in range(16)]
 
 
