@@ -163,7 +163,7 @@ class NavigationLoop:
             self._plan_done_ms = now_ms + self._plan_work_ms
         elif self._planning_from is not None and now_ms == self._plan_done_ms:
             self.navigator.plan(self._planning_from)
-            self._plan_work_ms = self._delay_ms(t.plan_base_ms, t.plan_us_per_cell, self.navigator.plan_cells)
+            self._plan_work_ms = self._delay_ms(t.plan_base_ms, t.plan_us_per_cell, self.navigator.navfn_cells)
             self._planning_from = None
             self._plan.finish(now_ms)
         else:
