@@ -7,6 +7,7 @@ them with `conf/` and the command line; a wrong key, type or value becomes one s
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 import typing
@@ -30,9 +31,10 @@ from appl_dist.learner.settings import LearnerSettings
 from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings
 from appl_dist.spec import SPACES
-from appl_dist.wire.session import WireSettings
+from appl_dist.wire.settings import WireSettings
 
 T = TypeVar("T")
+CONFIG_OPTION = "--config="
 _PACKAGE = Path(__file__).resolve().parent
 CONF = next((p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir()), _PACKAGE / "conf")
 
@@ -139,8 +141,18 @@ class Settings:
 
 
 def load(overrides: Sequence[str]) -> Settings:
-    """Compose conf/config.yaml with command-line overrides and check it. Raises UserError."""
-    return from_dict(compose_dict(overrides))
+    """Settings of conf/config.yaml, or of a frozen `--config=FILE`, with command-line overrides. Raises UserError."""
+    files = [o.removeprefix(CONFIG_OPTION) for o in overrides if o.startswith(CONFIG_OPTION)]
+    rest = [o for o in overrides if not o.startswith(CONFIG_OPTION)]
+    if not files:
+        return from_dict(compose_dict(rest))
+    try:
+        frozen = json.loads(Path(files[-1]).read_text())
+        return from_dict(OmegaConf.to_container(OmegaConf.merge(frozen, OmegaConf.from_dotlist(rest))))  # type: ignore[arg-type]
+    except OSError as error:
+        raise UserError(f"--config: {files[-1]} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UserError(f"--config: {files[-1]} is damaged: {error}") from None
 
 
 def compose_dict(overrides: Sequence[str]) -> dict[str, Any]:

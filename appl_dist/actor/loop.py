@@ -68,7 +68,7 @@ class NavigationLoop:
         self.navigator.reset(np.array([goal[0] - start[0], goal[1] - start[1], 0.0]))
         self.now_ms = 0
         self.command = np.zeros(2)
-        self._expires_ms = NEVER
+        self._received_ms = 0
         self._in_flight: list[tuple[int, Array]] = []  # commands on their way to the wheels
         self._scan_due_ms = 0
         self._scans: list[tuple[int, FloatArray, Array]] = []  # usable from, ranges, pose at the stamp
@@ -92,7 +92,6 @@ class NavigationLoop:
             event_ms = min(
                 self._scan_due_ms,
                 arrival,
-                self._expires_ms,
                 self._local.due_ms,
                 self._global.due_ms,
                 self._plan_done_ms if self._planning_from is not None else self._plan.due_ms,
@@ -102,13 +101,10 @@ class NavigationLoop:
                 self._drive_until(end_ms)
                 return
             # Simultaneous events in the order of the data's way, so that `ideal` is one synchronous tick.
-            if event_ms == self._expires_ms:
-                self._drive_until(event_ms)
-                self.command, self._expires_ms = np.zeros(2), NEVER
-            elif event_ms == arrival:
+            if event_ms == arrival:
                 self._drive_until(event_ms)
                 self.command = self._in_flight.pop(0)[1]
-                self._expires_ms = event_ms + self.timing.command_timeout_ms
+                self._received_ms = event_ms
             elif event_ms == self._scan_due_ms:
                 self._drive_until(event_ms)
                 self._sense()
@@ -119,7 +115,8 @@ class NavigationLoop:
 
     def _drive_until(self, time_ms: int) -> None:
         if time_ms > self.now_ms:
-            self.simulator.step(self.command, (time_ms - self.now_ms) / 1000.0)
+            age_s = (self.now_ms - self._received_ms) / 1000.0
+            self.simulator.step(self.command, (time_ms - self.now_ms) / 1000.0, age_s)
             self.now_ms = time_ms
 
     def _sense(self) -> None:
@@ -166,7 +163,7 @@ class NavigationLoop:
             self._plan_done_ms = now_ms + self._plan_work_ms
         elif self._planning_from is not None and now_ms == self._plan_done_ms:
             self.navigator.plan(self._planning_from)
-            self._plan_work_ms = self._delay_ms(t.plan_base_ms, t.plan_us_per_cell, self.navigator.plan_cells)
+            self._plan_work_ms = self._delay_ms(t.plan_base_ms, t.plan_us_per_cell, self.navigator.navfn_cells)
             self._planning_from = None
             self._plan.finish(now_ms)
         else:

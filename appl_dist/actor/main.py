@@ -20,11 +20,12 @@ from appl_dist.actor.policy import MLPPolicy, policy_from_file
 from appl_dist.actor.rollout import collect
 from appl_dist.errors import UserError
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import FloatArray, Rollout
+from appl_dist.spec import FloatArray
+from appl_dist.wire.codec import encode_rollout
 
 log = logging.getLogger(__name__)
 
-BEAT_S = 1.0
+HOLD_S = 0.02
 
 
 class Weights(Protocol):
@@ -34,12 +35,11 @@ class Weights(Protocol):
 
 
 class Sink(Protocol):
-    """Where rollouts go: the spool, whose `put` waits while it is full."""
+    """Where rollouts go, encoded for the wire: the spool, whose `put` waits while it is full."""
 
-    @property
-    def next_seq(self) -> int: ...
+    def __len__(self) -> int: ...
 
-    def put(self, rollout: Rollout) -> int: ...
+    def put(self, blob: bytes) -> int | None: ...
 
 
 class Explorer:
@@ -95,32 +95,36 @@ def act(
     *,
     seed: int,
     stop: Callable[[], bool],
-    beat: Callable[[dict[str, Any]], None],
+    beat: Callable[[dict[str, Any]], object],
+    hold: Callable[[], bool] = lambda: False,
 ) -> int:
     """Run episodes into `sink` until `stop()`; returns how many transitions were made.
 
-    stop: asked before every decision. beat: told once a second that the actor makes progress, and how.
+    stop: asked before every decision. beat: told before every decision how far the actor is.
+    hold: asked before every episode; true while the learner wants no more for now.
     """
-    made = 0
-    rate = _Rate()
+    made = decisions = 0
     world = -1
 
     def choose(observation: FloatArray) -> FloatArray:
-        action = explorer.choose(observation)
-        rate.count()
-        if rate.due():
-            beat({"world": world, "policy_version": explorer.version, "transitions_per_s": rate.per_s()})
-        return action
+        nonlocal decisions
+        decisions += 1
+        beat({"world": world, "policy_version": explorer.version, "transitions": decisions, "pending": len(sink)})
+        return explorer.choose(observation)
 
     env.reset(seed=seed)
     while not stop():
+        if hold():
+            beat({"world": -1, "policy_version": explorer.version, "transitions": decisions, "pending": len(sink)})
+            time.sleep(HOLD_S)
+            continue
         world = env.next_world()
         version = explorer.version
         rollout = collect(env, choose, world=world, stop=stop)
         if rollout is None:
             break
         info = {**rollout.info, "policy_version": max(version, 0)}
-        sink.put(replace(rollout, info=info))
+        sink.put(encode_rollout(replace(rollout, info=info)))
         made += len(rollout)
     return made
 
@@ -129,22 +133,3 @@ def actor_seed(run_seed: int, actor_id: str, next_seq: int) -> int:
     """Seed of an actor's life: differs between actors, and after a restart, where `next_seq` has moved on."""
     sequence = np.random.SeedSequence([run_seed, zlib.crc32(actor_id.encode()), next_seq])
     return int(sequence.generate_state(1)[0] >> 1)
-
-
-class _Rate:
-    """Decisions a second since the last beat."""
-
-    def __init__(self) -> None:
-        self._since, self._count, self._per_s = time.monotonic(), 0, 0.0
-
-    def count(self) -> None:
-        self._count += 1
-
-    def due(self) -> bool:
-        return time.monotonic() - self._since >= BEAT_S
-
-    def per_s(self) -> float:
-        now = time.monotonic()
-        self._per_s = self._count / (now - self._since)
-        self._since, self._count = now, 0
-        return self._per_s

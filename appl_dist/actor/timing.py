@@ -24,7 +24,6 @@ class TimingSettings:
     plan_period_ms: int = 50
     control_period_ms: int = 50
     command_delay_ms: int = 2  # published to acted on
-    command_timeout_ms: int = 250  # diff_drive_controller's cmd_vel_timeout
     random_phases: bool = True
     cpu_factor: float = 1.0
     control_base_ms: float = 1.65  # goal and path wavefronts, plus 1.5 ms for the published cost cloud

@@ -43,10 +43,10 @@ def _published_split(path: Path, split: str) -> list[int] | None:
     if not file.is_file():
         return None
     try:
-        found = json.loads(file.read_text())[split]
+        found = json.loads(file.read_text())["heldout" if split == "test" else split]
         return [int(i) for i in found]
     except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{file}: expected lists 'train' and 'test' of world indices; {error}") from None
+        raise UserError(f"{file}: expected lists 'train' and 'heldout' of world indices; {error}") from None
 
 
 def _parse(split: str) -> list[int]:

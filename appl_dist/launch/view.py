@@ -38,12 +38,12 @@ def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
         "noise sigma", f"{status['sigma']:.3f}", "updates", f"{status['updates']:,}",
     )  # fmt: skip
     actors = Table(box=None, header_style="dim", pad_edge=False)
-    for column in ("actor", "transitions/s", "world", "policy version", "spool", "last seen"):
+    for column in ("actor", "transitions/s", "world", "policy version", "unsent", "last seen"):
         actors.add_column(column, justify="left" if column == "actor" else "right")
     for a in status["actors"]:
         actors.add_row(
-            a["id"], f"{a['transitions_per_s']:.1f}", str(a["world"]), str(a["version"]), str(a["spool"]),
-            f"{a['last_seen_s']:.0f} s",
+            a["id"], f"{a['transitions_per_s']:.1f}", str(a["world"]), str(a["version"]), str(a["pending"]),
+            f"{a['silent_s']:.0f} s",
         )  # fmt: skip
     rows: list[RenderableType] = [progress, numbers, actors]
     rows += [f"[yellow]{note}[/yellow]" for note in notes[-3:]]

@@ -1,0 +1,190 @@
+"""Twin delayed deep deterministic policy gradient (Fujimoto et al., ICML 2018, Alg. 1), as APPLR uses it.
+
+Comes in: batches of n-step transitions from replay. Goes out: the policy's layers, and metrics. One call of
+`update` is one gradient step on both critics and, every `policy_delay` calls, one on the actor followed by
+Polyak averaging of all targets. The settings' defaults are the paper's where it gives them (networks, Sec.
+V-D of the journal) and those of the TD3 paper elsewhere.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from appl_dist.learner.networks import FlatMLP
+from appl_dist.learner.replay import Batch
+from appl_dist.learner.settings import TD3Settings
+from appl_dist.spec import FloatArray
+
+log = logging.getLogger(__name__)
+
+Metrics = dict[str, Tensor]  # 0-d tensors: reading one waits for the device, so read them rarely
+
+
+class Diverged(Exception):
+    """A loss or gradient is no longer finite; the caller says which checkpoint to go back to."""
+
+
+class TD3:
+    """The learner's networks, targets and optimisers. Same seed and batches: bit-equal results."""
+
+    def __init__(self, settings: TD3Settings, obs_size: int, action_size: int, seed: int = 0) -> None:
+        self.settings = settings
+        torch.set_num_threads(settings.threads)
+        self.device = torch.device(settings.device)
+        self.precision = _resolve(settings.precision, self.device)
+        dtype = torch.bfloat16 if self.precision == "bf16" else torch.float32
+        initial = torch.Generator().manual_seed(seed)
+        self.noise = torch.Generator(self.device).manual_seed(seed + 1)  # target smoothing
+        actor_sizes = (obs_size, *settings.hidden, action_size)
+        critic_sizes = (obs_size + action_size, *settings.hidden, 1)
+        self.actor = FlatMLP(actor_sizes, 1, initial, self.device, dtype)
+        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype)
+        self.actor_target = copy.deepcopy(self.actor)
+        self.critic_target = copy.deepcopy(self.critic)
+        # On a GPU a tensor step counter avoids waiting; fused is one pass over memory on either device.
+        self.actor_adam = torch.optim.Adam([self.actor.flat], settings.actor_lr, fused=True)
+        self.critic_adam = torch.optim.Adam([self.critic.flat], settings.critic_lr, fused=True)
+        self.updates = 0
+        log.info("TD3 on %s, %s, %d thread(s)", self.device, self.precision, settings.threads)
+
+    def update(self, batch: Batch, detail: bool = False) -> Metrics:
+        """One training step. `detail` adds norms and action saturation, worth a pass over all parameters."""
+        obs, action, returns, discounts, next_obs = (
+            torch.from_numpy(a).to(self.device)
+            for a in (
+                batch.observations,
+                batch.actions,
+                batch.returns,
+                batch.discounts,
+                batch.next_observations,
+            )
+        )
+        targets = self.targets(returns, discounts, next_obs)  # (b,)
+        q = self.critic(torch.cat((obs, action), 1))[..., 0]  # (2, b)
+        error = q - targets
+        critic_loss = error.square().mean(1).sum()
+        self._step(self.critic, self.critic_adam, critic_loss)
+        self.updates += 1
+        with torch.no_grad():
+            metrics: Metrics = {
+                "loss/critic": critic_loss.detach(),
+                "q/mean": q.mean(),
+                "q/std": q[0].std(correction=0),
+                "q/target_mean": targets.mean(),
+                "q/td_error": error.abs().mean(),
+            }
+        if self.updates % self.settings.policy_delay == 0:
+            chosen = self.actor(obs)[0].tanh()  # (b, act)
+            actor_loss = -self.critic(torch.cat((obs, chosen), 1), heads=1, frozen=True).mean()
+            self._step(self.actor, self.actor_adam, actor_loss)
+            self._average_targets()
+            metrics["loss/actor"] = actor_loss.detach()
+        if detail:
+            metrics |= self._detail(obs)
+        return metrics
+
+    @torch.no_grad()
+    def targets(self, returns: Tensor, discounts: Tensor, next_obs: Tensor) -> Tensor:
+        """(b,) y = R_n + gamma^k min_i Q'_i(s', clip(pi'(s') + clip(noise))), TD3 paper eq. 14."""
+        s = self.settings
+        action = self.actor_target(next_obs)[0].tanh()
+        noise = torch.randn(action.shape, generator=self.noise, device=self.device) * s.target_noise
+        noise.clamp_(-s.target_noise_clip, s.target_noise_clip)
+        action = (action + noise).clamp_(-1.0, 1.0)
+        q = self.critic_target(torch.cat((next_obs, action), 1))[..., 0]
+        return returns + discounts * q.amin(0)
+
+    def _step(self, net: FlatMLP, adam: torch.optim.Adam, loss: Tensor) -> None:
+        net.store_gradients(torch.autograd.grad(loss, net.leaves))
+        adam.step()
+        net.refresh()
+
+    @torch.no_grad()
+    def _average_targets(self) -> None:
+        for target, net in ((self.actor_target, self.actor), (self.critic_target, self.critic)):
+            target.flat.lerp_(net.flat, self.settings.polyak)
+            target.refresh()
+
+    @torch.no_grad()
+    def _detail(self, obs: Tensor) -> Metrics:
+        saturated = (self.actor(obs)[0].tanh().abs() > 0.99).float().mean(0)  # (act,)
+        return {
+            "norm/actor": self.actor.flat.norm(),
+            "norm/critic": self.critic.flat.norm(),
+            "norm/actor_gradient": self.actor.grad.norm(),
+            "norm/critic_gradient": self.critic.grad.norm(),
+            **{f"saturation/{i}": share for i, share in enumerate(saturated)},
+        }
+
+    # ---- out, and back in
+
+    def policy_arrays(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """Copies of the actor's weights (out, in) and biases (out,), float32, as PolicyFile wants them."""
+        weights = tuple(w[0].t().contiguous().cpu().numpy() for w, _ in self.actor.master)
+        biases = tuple(b[0, 0].clone().cpu().numpy() for _, b in self.actor.master)
+        return weights, biases
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Copies of every tensor (on the CPU) and plain number that `update` depends on."""
+        tensors = {
+            f"{name}.flat": getattr(self, name).flat
+            for name in ("actor", "critic", "actor_target", "critic_target")
+        }
+        for name, adam, net in self._optimisers():
+            for key in ("exp_avg", "exp_avg_sq", "step"):
+                empty = torch.zeros(()) if key == "step" else torch.zeros_like(net.flat)
+                tensors[f"{name}.{key}"] = adam.state[net.flat].get(key, empty)
+        tensors = {k: v.detach().to("cpu", copy=True) for k, v in tensors.items()}
+        tensors["noise"] = self.noise.get_state()
+        return tensors, {"updates": self.updates, "sizes": [self.actor.sizes, self.critic.sizes]}
+
+    def load_state(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
+        """Continue from what `state` gave; ValueError if the networks differ."""
+        sizes = [list(self.actor.sizes), list(self.critic.sizes)]
+        found = [list(s) for s in numbers["sizes"]]
+        if found != sizes:
+            raise ValueError(f"networks: the state has layers {found}; the settings ask for {sizes}")
+        for name in ("actor", "critic", "actor_target", "critic_target"):
+            net: FlatMLP = getattr(self, name)
+            with torch.no_grad():
+                net.flat.copy_(tensors[f"{name}.flat"])
+            net.refresh()
+        for name, adam, net in self._optimisers():
+            adam.state[net.flat] = {
+                key: tensors[f"{name}.{key}"].to(self.device, copy=True)
+                for key in ("step", "exp_avg", "exp_avg_sq")
+            }
+        self.noise.set_state(tensors["noise"].cpu())
+        self.updates = int(numbers["updates"])
+
+    def _optimisers(self) -> tuple[tuple[str, torch.optim.Adam, FlatMLP], ...]:
+        return (
+            ("actor_adam", self.actor_adam, self.actor),
+            ("critic_adam", self.critic_adam, self.critic),
+        )
+
+
+def read(metrics: Metrics) -> dict[str, float]:
+    """The metrics as numbers. Diverged names the first that is not finite."""
+    numbers = {name: float(value) for name, value in metrics.items()}
+    for name, value in numbers.items():
+        if not math.isfinite(value):
+            raise Diverged(f"{name} is {value}")
+    return numbers
+
+
+def _resolve(precision: str, device: torch.device) -> str:
+    """`auto` as bf16 where the hardware multiplies it natively, else fp32."""
+    if precision != "auto":
+        return precision
+    if device.type == "cuda":
+        return "bf16" if torch.cuda.is_bf16_supported(including_emulation=False) else "fp32"
+    # Without AMX or AVX512-BF16 bfloat16 is emulated and slower than float32.
+    native = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
+    return "bf16" if native else "fp32"
