@@ -7,7 +7,6 @@ metrics.csv is long (step, name, value): metrics come at different times and a r
 from __future__ import annotations
 
 import csv
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -39,6 +38,7 @@ class MetricsWriter:
         self.folder, self._clock = Path(folder), clock
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            _drop_cut_line(self.folder / "metrics.csv")
             self._file = open(self.folder / "metrics.csv", "a", newline="", encoding="utf-8")  # noqa: SIM115
         except OSError as e:
             raise UserError(f"metrics folder {folder}: cannot be written: {e.strerror}") from None
@@ -67,6 +67,16 @@ class MetricsWriter:
         self.close()
 
 
+def _drop_cut_line(path: Path) -> None:
+    """Remove a last line that a kill left without its end, so that appending cannot join two."""
+    if not path.exists():
+        return
+    with open(path, "r+b") as file:
+        data = file.read()
+        if not data.endswith(b"\n"):
+            file.truncate(data.rfind(b"\n") + 1)
+
+
 def read_metrics(folder: str | Path) -> Iterator[Row]:
     """The rows of metrics.csv in order; a last line cut by a kill is left out."""
     path = Path(folder) / "metrics.csv"
@@ -82,5 +92,4 @@ def read_metrics(folder: str | Path) -> Iterator[Row]:
             if number == len(lines):
                 return
             raise UserError(f"{path}, line {number}: got {line}; expected {','.join(_COLUMNS)}") from None
-        if math.isfinite(row.value):
-            yield row
+        yield row

@@ -176,7 +176,7 @@ class TD3:
         return weights, biases
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Copies of every tensor (on the CPU) and plain number that `update` depends on."""
+        """Every tensor and plain number that `update` depends on. The tensors are the live ones: copy them."""
         tensors = {
             f"{name}.flat": getattr(self, name).flat
             for name in ("actor", "critic", "actor_target", "critic_target")
@@ -185,7 +185,6 @@ class TD3:
             for key in ("exp_avg", "exp_avg_sq", "step"):
                 empty = torch.zeros(()) if key == "step" else torch.zeros_like(net.flat)
                 tensors[f"{name}.{key}"] = adam.state[net.flat].get(key, empty)
-        tensors = {k: v.detach().to("cpu", copy=True) for k, v in tensors.items()}
         tensors["noise"] = self.noise.get_state()
         return tensors, {"updates": self.updates, "sizes": [self.actor.sizes, self.critic.sizes]}
 
