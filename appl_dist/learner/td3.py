@@ -11,7 +11,6 @@ from __future__ import annotations
 import copy
 import logging
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -19,50 +18,12 @@ from torch import Tensor
 
 from appl_dist.learner.networks import FlatMLP
 from appl_dist.learner.replay import Batch
+from appl_dist.learner.settings import TD3Settings
 from appl_dist.spec import FloatArray
 
 log = logging.getLogger(__name__)
 
 Metrics = dict[str, Tensor]  # 0-d tensors: reading one waits for the device, so read them rarely
-
-
-@dataclass(frozen=True)
-class TD3Settings:
-    """Everything `TD3` needs beside the sizes; ValueError names the field that cannot be.
-
-    `precision` bf16 computes the hidden layers in bfloat16 (3 to 4 times faster where the CPU has AMX),
-    fp32 everything in float32; auto takes bf16 where the hardware multiplies it natively. `threads` is
-    torch's, for the process. n-step and gamma belong to replay.
-    """
-
-    hidden: tuple[int, ...] = (512, 512, 512)
-    batch_size: int = 256
-    actor_lr: float = 3e-4
-    critic_lr: float = 3e-4
-    polyak: float = 0.005
-    target_noise: float = 0.2
-    target_noise_clip: float = 0.5
-    policy_delay: int = 2
-    precision: str = "auto"
-    device: str = "cpu"
-    threads: int = 1
-
-    def __post_init__(self) -> None:
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(f"hidden: got {self.hidden}; one or more layer widths, each at least 1")
-        for name in ("batch_size", "policy_delay", "threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: got {getattr(self, name)}; at least 1")
-        for name in ("actor_lr", "critic_lr"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name}: got {getattr(self, name)}; allowed above 0 up to 1")
-        if not 0.0 < self.polyak <= 1.0:
-            raise ValueError(f"polyak: got {self.polyak}; allowed above 0 up to 1")
-        for name in ("target_noise", "target_noise_clip"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise ValueError(f"{name}: got {getattr(self, name)}; allowed 0 or more")
-        if self.precision not in ("auto", "bf16", "fp32"):
-            raise ValueError(f"precision: got {self.precision!r}; allowed auto, bf16, fp32")
 
 
 class Diverged(Exception):
