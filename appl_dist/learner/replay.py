@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -149,6 +150,22 @@ class Replay:
     def expected_seq(self, actor_id: str) -> int:
         """The sequence number `insert` takes next from this actor; 0 for one never seen."""
         return self._expected.get(actor_id, 0)
+
+    def ledger(self) -> dict[str, int]:
+        """Every actor's expected sequence number, for a checkpoint."""
+        return dict(self._expected)
+
+    def resume(self, ledger: Mapping[str, int], transitions_total: int) -> None:
+        """Take up the counts of an earlier replay whose rows are gone (it was in memory).
+
+        ValueError if rollouts were already inserted: then the index knows better.
+        """
+        if self.rollouts_total:
+            raise ValueError(f"resume: replay already holds {self.rollouts_total} rollouts")
+        for actor_id, expected in ledger.items():
+            self._actors.data["floor"][self._actor_slot(actor_id)] = expected
+            self._expected[actor_id] = expected
+        self._total = transitions_total
 
     # ---- in
 
