@@ -46,7 +46,7 @@ class Uploader:
     """Uploads what is in `spool` as `actor_id`, from `start` to `close`.
 
     A refusal ends it: the spool is stopped with the reason, so the actor's next `put` raises it; what is
-    pending stays on disk. `counts`: sent, acked, duplicate, busy, unanswered, hello.
+    pending stays on disk. `counts`: sent, acked, duplicate, busy, unanswered, hello (asked to say it), welcome.
     timeout_s: how long to wait for one answer, s.
     """
 
@@ -143,12 +143,12 @@ class Uploader:
             self.run_id, self.actor_id, self._bus.identity, self._epoch, self._spool.oldest, 0, hello=True
         )
         ack = self._ask(header, b"")
-        self.counts["hello"] += 1
         if ack is None or ack.status == "busy":
             return False
-        if ack.status != "stored":
+        if ack.status != "welcome":
             self._refuse(ack.reason)
             return False
+        self.counts["welcome"] += 1
         if ack.expected < header.seq:
             log.warning(
                 "the learner came back without the %d rollouts it acked last of actor %s",
