@@ -3,8 +3,8 @@
     python -m tests.unit.wire.child receiver ENDPOINT FOLDER EPOCH
     python -m tests.unit.wire.child sender ENDPOINT FOLDER ACTOR COUNT
 
-A sender puts rollouts until its spool has numbered COUNT of them, each tagged with its number, and exits 0 when
-all are acked, 2 with a sentence when refused. A receiver serves until killed.
+A sender puts rollouts until its spool has numbered COUNT of them, each tagged with its number, and exits 0
+when all are acked, 2 with a sentence when refused. A receiver serves until killed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LEASE_S = 1.0
 
 
 def receive(endpoint: str, folder: Path, epoch: int) -> None:
-    with open_session(WireSettings(endpoint, lease_s=LEASE_S), listen=True) as session:
+    with open_session(WireSettings(endpoint, lease_s=LEASE_S, timeout_s=4.0), listen=True) as session:
         store = FileStore(folder / "stored.txt")
         server = UploadServer(session, "run1", Ingest(store, None, "run1"), epoch=epoch, grace_s=LEASE_S)
         ControlServer(session, "run1", "{}", epoch=epoch, status=lambda: dict(server.counts))
@@ -39,7 +39,7 @@ def receive(endpoint: str, folder: Path, epoch: int) -> None:
 
 def send(endpoint: str, folder: Path, actor: str, count: int) -> None:
     with (
-        open_session(WireSettings(endpoint, lease_s=LEASE_S), listen=False) as session,
+        open_session(WireSettings(endpoint, lease_s=LEASE_S, timeout_s=4.0), listen=False) as session,
         Spool(folder / actor, f"run1/{actor}", max_count=16) as spool,
     ):
         run_id, _ = fetch_run(session)
