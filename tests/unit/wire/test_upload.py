@@ -204,6 +204,7 @@ def test_whoever_did_not_say_hello_is_asked_to(hub):
         (encode_header(UploadHeader("run1", "a1", "i", 0, 0, 3)), b"", "header of run1/a1 on key"),
         (b"", bytes((16 << 20) + 1), "payload of 16777217 bytes"),
     ],
+    ids=["empty", "no map", "wire version", "payload", "count", "key", "size"],
 )
 def test_a_bad_message_is_counted_logged_once_and_refused_with_a_reason(hub, caplog, header, payload, reason):
     sink = ScriptedSink()
@@ -220,7 +221,12 @@ def test_a_bad_message_is_counted_logged_once_and_refused_with_a_reason(hub, cap
     server.close()
 
 
-def test_a_full_queue_answers_busy_at_once(hub):
+@pytest.mark.parametrize(
+    ("max_waiting", "others_ids"),
+    [(2, ("b1", "b2", "b3", "b4", "b5")), (100, ("b1",) * 5)],
+    ids=["of everyone", "of one actor"],
+)
+def test_a_full_queue_answers_busy_at_once(hub, max_waiting, others_ids):
     release, entered = threading.Event(), threading.Event()
 
     class Stuck(ScriptedSink):
@@ -229,17 +235,19 @@ def test_a_full_queue_answers_busy_at_once(hub):
             release.wait(20)
             return 0
 
-    server = UploadServer(hub.connect(), "run1", Stuck(), max_waiting=2)
+    server = UploadServer(hub.connect(), "run1", Stuck(), max_waiting=max_waiting)
     answers: list[str] = []
 
     def send(actor: str) -> None:
-        bus = hub.connect()
-        answers.append(ask(bus, hello(bus, actor=actor), key=keys.upload("run1", actor)).status)
+        answers.append(
+            ask(buses[actor], hello(buses[actor], actor=actor), key=keys.upload("run1", actor)).status
+        )
 
+    buses = {actor: hub.connect() for actor in ("b0", *others_ids)}
     first = threading.Thread(target=send, args=("b0",))
     first.start()
     assert entered.wait(20)
-    others = [threading.Thread(target=send, args=(f"b{i}",)) for i in range(1, 6)]
+    others = [threading.Thread(target=send, args=(actor,)) for actor in others_ids]
     for thread in others:
         thread.start()
     assert wait_until(lambda: len(answers) == 3)
