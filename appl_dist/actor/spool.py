@@ -103,7 +103,7 @@ class Spool:
             return seq
 
     def peek(self, timeout_s: float = 0.0) -> tuple[int, bytes] | None:
-        """(seq, blob) of the oldest pending rollout; None if none came within `timeout_s` or before `stop`."""
+        """(seq, blob) of the oldest pending rollout; None if none came within `timeout_s` or `stop`."""
         with self._changed:
             self._changed.wait_for(lambda: self._stopped or bool(self._sizes), timeout_s)
             if not self._sizes:
@@ -132,8 +132,8 @@ class Spool:
             if expected > self._next and self._sizes:
                 raise UserError(
                     f"spool {self.folder}: holds rollouts up to number {self._next - 1}, but the learner "
-                    f"already has {expected} of {self.owner}; the folder comes from a backup or another machine used "
-                    "this actor id; give this actor another id or empty the folder"
+                    f"already has {expected} of {self.owner}; the folder comes from a backup, or another "
+                    "machine used this actor id; give this actor another id or empty the folder"
                 )
             for seq in [seq for seq in self._sizes if seq < expected]:
                 self._remove(seq)

@@ -205,15 +205,16 @@ class UploadHeader:
             raise ValueError(f"hello: got {self.hello!r:.40} with {self.count} transitions")
 
 
-STATUSES = ("stored", "duplicate", "busy", "hello", "refused")
+STATUSES = ("welcome", "stored", "duplicate", "busy", "hello", "refused")
 
 
 @dataclass(frozen=True)
 class Ack:
     """The learner's answer to an upload.
 
-    stored: durable in replay. duplicate: it was already. busy: ask again after `retry_s`. hello: say hello
-    first. refused: never will be; `reason` says why. `expected` is the actor's next sequence number.
+    welcome: the hello is accepted. stored: durable in replay. duplicate: it was already. busy: ask again
+    after `retry_s`. hello: say hello first. refused: never will be; `reason` says why. `expected` is the
+    actor's next sequence number.
     """
 
     status: str

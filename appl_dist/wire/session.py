@@ -87,7 +87,7 @@ def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
         )
     config: dict[str, Any] = {
         "mode": "router" if listen else "client",
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": transport,
     }
     if listen:
@@ -231,12 +231,7 @@ class _ReceivedQuery(_Received):
     def reply(self, payload: bytes, attachment: bytes = b"") -> None:
         try:
             with self._message as query:  # leaving the block tells the sender that no more answers come
-                query.reply(
-                    query.key_expr,
-                    payload,
-                    attachment=attachment or None,
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
+                query.reply(query.key_expr, payload, attachment=attachment or None)
         except Exception as error:  # the sender has gone, or a second answer
             log.debug("reply: %s", error)
 

@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 
 _WAITING_PER_ACTOR = 2  # an actor has one upload under way; a second is its retry after a time-out
 _RETRY_S = 0.5
+_FAILED_RETRY_S = 2.0
 _LOGGED_SENDERS = 1024
 
 
@@ -127,7 +128,9 @@ class UploadServer:
             except Exception as error:  # a full disk, say: nothing was acked, so the actor keeps the rollout
                 log.exception("upload of %s could not be stored", query.key)
                 self.counts["failed"] += 1
-                self._answer(query, Ack("busy", retry_s=5.0, reason=f"the learner failed: {error}"[:500]))
+                self._answer(
+                    query, Ack("busy", retry_s=_FAILED_RETRY_S, reason=f"the learner failed: {error}"[:500])
+                )
 
     def _handle(self, query: Query) -> None:
         try:
@@ -152,7 +155,7 @@ class UploadServer:
                     f"actor id {header.actor} is in use by another live process of run {self.run_id}; "
                     "give every actor its own id",
                 )
-            return Ack("stored", expected=self._sink.expected_seq(header.actor), epoch=self._epoch)
+            return Ack("welcome", expected=self._sink.expected_seq(header.actor), epoch=self._epoch)
         if header.epoch != self._epoch or not self._claims.holds(header.actor, header.incarnation):
             return Ack(
                 "hello", epoch=self._epoch, reason="this learner does not know this process; say hello"
