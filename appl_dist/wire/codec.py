@@ -79,8 +79,7 @@ def encode_rollout(rollout: Rollout) -> bytes:
     n = len(rollout)
     if n > MAX_TRANSITIONS or rollout.actions.shape[1] > MAX_ACTION_SIZE:
         raise ValueError(
-            f"actions: got shape {rollout.actions.shape}; "
-            f"allowed up to ({MAX_TRANSITIONS}, {MAX_ACTION_SIZE})"
+            f"actions: got shape {rollout.actions.shape}; allowed up to ({MAX_TRANSITIONS}, {MAX_ACTION_SIZE})"
         )
     scan = rollout.observations[:, SCAN]
     _check_scan(scan, 1.0 + 1e-5)  # the cast below rounds this back to 1

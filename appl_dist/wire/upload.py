@@ -128,9 +128,7 @@ class UploadServer:
             except Exception as error:  # a full disk, say: nothing was acked, so the actor keeps the rollout
                 log.exception("upload of %s could not be stored", query.key)
                 self.counts["failed"] += 1
-                self._answer(
-                    query, Ack("busy", retry_s=_FAILED_RETRY_S, reason=f"the learner failed: {error}"[:500])
-                )
+                self._answer(query, Ack("busy", retry_s=_FAILED_RETRY_S, reason=f"the learner failed: {error}"[:500]))
 
     def _handle(self, query: Query) -> None:
         try:
@@ -157,9 +155,7 @@ class UploadServer:
                 )
             return Ack("welcome", expected=self._sink.expected_seq(header.actor), epoch=self._epoch)
         if header.epoch != self._epoch or not self._claims.holds(header.actor, header.incarnation):
-            return Ack(
-                "hello", epoch=self._epoch, reason="this learner does not know this process; say hello"
-            )
+            return Ack("hello", epoch=self._epoch, reason="this learner does not know this process; say hello")
         return self._sink.store(header, rollout)
 
     def _refusal(self, header: UploadHeader, reason: str) -> Ack:

@@ -142,9 +142,7 @@ class Uploader:
 
     def _send(self, seq: int, blob: bytes) -> Ack | None:
         self.counts["sent"] += 1
-        header = UploadHeader(
-            self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, transitions_in(blob)
-        )
+        header = UploadHeader(self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, transitions_in(blob))
         ack = self._ask(header, blob)
         self.counts["unanswered" if ack is None else "acked" if ack.status == "stored" else ack.status] += 1
         return ack

@@ -62,9 +62,7 @@ def test_a_decoded_rollout_encodes_to_the_same_bytes():
 
 
 def test_numpy_scalars_in_info_become_plain_numbers():
-    rollout = replace(
-        make_rollout(0), info={"seed": np.int64(3), "time_s": np.float32(0.5), "success": np.True_}
-    )
+    rollout = replace(make_rollout(0), info={"seed": np.int64(3), "time_s": np.float32(0.5), "success": np.True_})
     assert decode_rollout(encode_rollout(rollout)).info == {"seed": 3, "time_s": 0.5, "success": True}
 
 
@@ -153,9 +151,7 @@ def test_headers_return_as_they_were(header):
 @pytest.mark.parametrize("header", HEADERS)
 def test_another_wire_version_is_refused_by_name(header):
     other = pack({**asdict(header), "wire": WIRE_VERSION + 1, "more": 1})
-    with pytest.raises(
-        ValueError, match=f"wire version: got {WIRE_VERSION + 1}, this side speaks {WIRE_VERSION}"
-    ):
+    with pytest.raises(ValueError, match=f"wire version: got {WIRE_VERSION + 1}, this side speaks {WIRE_VERSION}"):
         decode_header(type(header), other)
 
 
@@ -173,9 +169,7 @@ def test_an_upload_header_with_a_wrong_field_is_refused(field, value):
         decode_header(UploadHeader, pack(values))
 
 
-@pytest.mark.parametrize(
-    ("field", "value"), [("status", "ok"), ("retry_s", 1e9), ("retry_s", "1"), ("reason", 1)]
-)
+@pytest.mark.parametrize(("field", "value"), [("status", "ok"), ("retry_s", 1e9), ("retry_s", "1"), ("reason", 1)])
 def test_an_ack_with_a_wrong_field_is_refused(field, value):
     with pytest.raises(ValueError, match=field):
         decode_header(Ack, pack({**asdict(HEADERS[2]), field: value}))

@@ -239,9 +239,7 @@ def test_a_full_queue_answers_busy_at_once(hub, max_waiting, others_ids):
     answers: list[str] = []
 
     def send(actor: str) -> None:
-        answers.append(
-            ask(buses[actor], hello(buses[actor], actor=actor), key=keys.upload("run1", actor)).status
-        )
+        answers.append(ask(buses[actor], hello(buses[actor], actor=actor), key=keys.upload("run1", actor)).status)
 
     buses = {actor: hub.connect() for actor in ("b0", *others_ids)}
     first = threading.Thread(target=send, args=("b0",))
