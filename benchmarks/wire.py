@@ -219,19 +219,13 @@ def codec() -> None:
             began = time.perf_counter()
             run()
             times_us.append(1e6 * (time.perf_counter() - began))
-        print(
-            f"{name}: {statistics.median(times_us):.0f} us for {TRANSITIONS} transitions, {len(blob)} bytes"
-        )
+        print(f"{name}: {statistics.median(times_us):.0f} us for {TRANSITIONS} transitions, {len(blob)} bytes")
 
 
 def main() -> None:
     parts = {"codec": codec, "uploads": uploads, "weights": weights, "fleet": fleet}
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "part", nargs="*", metavar="PART", help="any of " + ", ".join(parts) + " (default: all)"
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", nargs="*", metavar="PART", help="any of " + ", ".join(parts) + " (default: all)")
     for part in parser.parse_args().part or list(parts):
         parts[part]()
 

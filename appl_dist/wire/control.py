@@ -198,8 +198,7 @@ def _ask(bus: Bus, key: str, limit: int, timeout_s: float) -> dict[str, Any]:
             break
         if time.monotonic() >= deadline:
             raise UserError(
-                f"no learner answered within {timeout_s:g} s; it is starting, gone, or does not let this "
-                "process ask"
+                f"no learner answered within {timeout_s:g} s; it is starting, gone, or does not let this process ask"
             )
         time.sleep(0.05)  # connected, but nobody serves the key yet
     try:

@@ -138,9 +138,7 @@ class Session:
         except zenoh.ZError as error:
             log.debug("put %s: %s", key, error)
 
-    def get(
-        self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0
-    ) -> Message | None:
+    def get(self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0) -> Message | None:
         try:
             replies = self._session.get(
                 key,
@@ -165,9 +163,7 @@ class Session:
         return _Handle(self._session.declare_subscriber(key, _guarded(receive)))
 
     def serve(self, key: str, callback: Callable[[Query], None]) -> Handle:
-        return _Handle(
-            self._session.declare_queryable(key, _guarded(lambda query: callback(_ReceivedQuery(query))))
-        )
+        return _Handle(self._session.declare_queryable(key, _guarded(lambda query: callback(_ReceivedQuery(query)))))
 
     def announce(self, key: str) -> Handle:
         return _Handle(self._session.liveliness().declare_token(key))

@@ -65,6 +65,7 @@ class Uploader:
         self.actor_id = keys.check_name("actor_id", actor_id)
         self.counts: Counter[str] = Counter()
         self.refused = ""
+        self.held = False  # the learner's last word was to wait
         self._bus = bus
         self._spool = spool
         self._timeout_s = timeout_s
@@ -111,9 +112,12 @@ class Uploader:
         if head is None:
             return 0.0
         ack = self._send(*head)
-        if ack is None or ack.status == "busy":
-            return max(self._back_off(), ack.retry_s if ack else 0.0)
+        self.held = ack is not None and ack.status == "busy"
+        if ack is None:
+            return self._back_off()
         self._wait_s = _BACKOFF_S[0]
+        if self.held:
+            return ack.retry_s
         if ack.status in ("stored", "duplicate"):
             self._spool.ack(head[0])
         elif ack.status == "hello":
@@ -138,9 +142,7 @@ class Uploader:
 
     def _send(self, seq: int, blob: bytes) -> Ack | None:
         self.counts["sent"] += 1
-        header = UploadHeader(
-            self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, transitions_in(blob)
-        )
+        header = UploadHeader(self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, transitions_in(blob))
         ack = self._ask(header, blob)
         self.counts["unanswered" if ack is None else "acked" if ack.status == "stored" else ack.status] += 1
         return ack

@@ -35,9 +35,7 @@ class ExactlyOnce(RuleBasedStateMachine):
     def start_learner(self) -> None:
         self.epoch += 1
         self.learner_bus = self.hub.connect()
-        self.server = UploadServer(
-            self.learner_bus, "run1", Ingest(self.store, None, "run1"), epoch=self.epoch
-        )
+        self.server = UploadServer(self.learner_bus, "run1", Ingest(self.store, None, "run1"), epoch=self.epoch)
 
     def start_actor(self) -> None:
         self.bus = self.hub.connect()

@@ -1,0 +1,30 @@
+// One layered costmap: obstacle layer (costmap_2d::ObstacleLayer, combination by maximum) and inflation,
+// updated inside bounds as costmap_2d::LayeredCostmap does.
+#pragma once
+#include "footprint.h"
+#include "inflation.h"
+
+// One lidar scan as points. Points are float32, as in the PointCloud2 that carries them in ROS.
+typedef struct {
+    double ox, oy;    // m, odom: the sensor
+    float *x, *y;     // (count) m, odom
+    int count;
+} observation;
+
+typedef struct {
+    int x0, y0, xn, yn;  // columns [x0, xn), rows [y0, yn)
+} grid_window;
+
+typedef struct {
+    grid_frame frame;
+    bool rolling;           // follows the robot
+    uint8_t *obstacles;     // (h, w) the layer: lethal or free
+    uint8_t *master;        // (h, w) what the planners read
+    inflation inflate;
+    grid_window touched;    // cells of `master` the last update may have changed
+} costmap;
+
+void costmap_clear(costmap *m, double origin_x, double origin_y);
+// pose: x, y, yaw. `seen` may be empty.
+void costmap_update(costmap *m, inflation_scratch *scratch, const planner_settings *set, const footprint_shape *shape,
+                    const observation *seen, const double pose[3]);

@@ -1,0 +1,85 @@
+// A grid in the world, and the two rasterisers every layer of the planner shares.
+// Casts and comparisons are those of costmap_2d::Costmap2D; they decide in which cell a point falls.
+#pragma once
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdlib.h>
+
+enum { COST_FREE = 0, COST_INSCRIBED = 253, COST_LETHAL = 254, COST_UNKNOWN = 255 };
+
+typedef struct {
+    int w, h;         // cells
+    double res;       // m
+    double ox, oy;    // m, lower left corner of cell (0, 0)
+} grid_frame;
+
+typedef struct {
+    int x, y;
+} grid_cell;
+
+// Costmap2D::worldToMap. False for points off the map and for NaN.
+static inline bool world_to_map(const grid_frame *g, double wx, double wy, int *mx, int *my) {
+    if (!(wx >= g->ox && wy >= g->oy)) return false;
+    const double cx = (wx - g->ox) / g->res, cy = (wy - g->oy) / g->res;
+    if (!(cx < g->w && cy < g->h)) return false;
+    *mx = (int)cx;
+    *my = (int)cy;
+    return true;
+}
+
+// Costmap2D::worldToMapEnforceBounds for one axis.
+static inline int world_to_map_clamped(double wx, double origin, int cells, double res) {
+    if (!(wx >= origin)) return 0;
+    if (wx >= res * cells + origin) return cells - 1;
+    return (int)((wx - origin) / res);
+}
+
+// Costmap2D::cellDistance
+static inline int cell_distance(double metres, double res) { return (int)fmax(0.0, ceil(metres / res)); }
+
+// The integer line of base_local_planner::LineIterator (and, seen as offsets, of Costmap2D::raytraceLine).
+// `steps` + 1 cells: start at (x, y), call line_advance between cells.
+typedef struct {
+    int x, y, steps;
+    int den, num, add;
+    int dx1, dy1, dx2, dy2;  // extra step when the error overflows; step taken every time
+} grid_line;
+
+static inline grid_line line_between(int x0, int y0, int x1, int y1) {
+    const int ax = abs(x1 - x0), ay = abs(y1 - y0);
+    const int sx = x1 >= x0 ? 1 : -1, sy = y1 >= y0 ? 1 : -1;
+    grid_line l = {.x = x0, .y = y0};
+    if (ax >= ay) {
+        l.den = ax, l.num = ax / 2, l.add = ay, l.steps = ax;
+        l.dy1 = sy, l.dx2 = sx;
+    } else {
+        l.den = ay, l.num = ay / 2, l.add = ax, l.steps = ay;
+        l.dx1 = sx, l.dy2 = sy;
+    }
+    return l;
+}
+
+static inline void line_advance(grid_line *l) {
+    l->num += l->add;
+    if (l->num >= l->den) {
+        l->num -= l->den;
+        l->x += l->dx1;
+        l->y += l->dy1;
+    }
+    l->x += l->dx2;
+    l->y += l->dy2;
+}
+
+// Yaw after a trip through a quaternion, as poses and velocities make it in ROS (tf2 setRPY, getYaw).
+static inline double yaw_through_quaternion(double yaw) {
+    const double z = sin(yaw * 0.5), w = cos(yaw * 0.5);
+    return atan2(2 * (w * z), w * w - z * z);
+}
+
+// angles::shortest_angular_distance
+static inline double shortest_angle(double from, double to) {
+    const double two_pi = 2.0 * 3.14159265358979323846;
+    double a = fmod(fmod(to - from, two_pi) + two_pi, two_pi);
+    return a > 3.14159265358979323846 ? a - two_pi : a;
+}

@@ -1,0 +1,40 @@
+// costmap_2d::InflationLayer: costs around lethal cells by a brushfire over distance bins.
+// The brushfire is not an exact distance transform; its order is copied so that every cell agrees.
+#pragma once
+#include "grid.h"
+#include "settings.h"
+
+typedef struct {
+    int16_t x, y;    // cell
+    int8_t dx, dy;   // offset from the obstacle it grew from
+    int32_t next;    // in the same bin, -1 the last
+} inflation_entry;
+
+enum { INFLATION_BINS_MAX = 250 };
+
+// Shared by the maps of one planner; sized for the largest.
+typedef struct {
+    uint8_t *best;             // (h, w) lowest bin a cell waits in or was processed in
+    inflation_entry *entries;  // (capacity)
+    int capacity;
+} inflation_scratch;
+
+enum { INFLATION_ENTRIES_PER_CELL = 5 };  // itself as an obstacle and once from each side
+
+typedef struct {
+    double radius, inscribed, weight;  // m, m, 1/m
+    double res;                        // m
+    int cells, bins;                   // reach in cells; distinct distances
+    uint8_t bin_of[INFLATION_CELLS_MAX + 1][INFLATION_CELLS_MAX + 1];   // 255 beyond reach
+    uint8_t cost_of[INFLATION_CELLS_MAX + 1][INFLATION_CELLS_MAX + 1];
+    bool need_reinflation;
+    double last_min_x, last_min_y, last_max_x, last_max_y;  // m, bounds of the previous update
+} inflation;
+
+// False when the radius is negative, not finite or beyond INFLATION_CELLS_MAX cells; the layer is then unchanged.
+bool inflation_set(inflation *f, double radius, double weight, double inscribed, double res);
+// Widens this cycle's bounds as InflationLayer::updateBounds does.
+void inflation_bounds(inflation *f, double *min_x, double *min_y, double *max_x, double *max_y);
+// Inflates the lethal cells in and near columns [x0, xn), rows [y0, yn) of a (h, w) map.
+void inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map, int w, int h, int x0, int y0, int xn,
+                   int yn);

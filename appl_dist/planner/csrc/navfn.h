@@ -1,0 +1,35 @@
+// The global plan: navfn::NavFn. A wave of potential runs from the robot until it reaches the goal's cell, then
+// a path follows its gradient back.
+#pragma once
+#include "costmap.h"
+
+enum { NAVFN_BUFFER = 10000 };  // entries a priority buffer holds; more are dropped, as in ROS
+
+typedef struct {
+    int w, h;
+    uint8_t *cost;           // (h, w) traversal cost 50..253, 254 blocked; the outer ring is blocked
+    float *potential;        // (h, w) 1e10 where no wave came
+    uint8_t *pending;        // (h, w) in a buffer
+    int32_t *buffers[3];     // (NAVFN_BUFFER)
+    int low, high;           // cells outside [low, high] hold no potential
+    float *path_x, *path_y;  // (path_capacity) cells, goal first
+    int path_capacity;
+    // The last plan, and whether it still holds: the wave depends only on costs, start and goal.
+    bool fresh;
+    int start, goal;         // cells
+    double goal_x, goal_y;
+    int plan_count;
+    double *plan;            // (path_capacity + 1, 2) m, odom: robot first
+    float bound;             // the wave spreads only where it can still matter: see navfn.c
+    float goal_potential;    // of the last plan, 0 for none
+    int goal_cx, goal_cy;
+    long cells;              // cells expanded by the wave
+    uint8_t cost_of[256];
+    float step_of[256];      // cost * 1/sqrt(2)
+} navfn;
+
+void navfn_init(navfn *n);
+void navfn_sync(navfn *n, const uint8_t *master, grid_window window);  // takes over changed costs
+// Plan from start to goal; the start's cell of `master` is freed. False, and no plan, when there is none.
+bool navfn_plan(navfn *n, const grid_frame *frame, uint8_t *master, double start_x, double start_y, double goal_x,
+                double goal_y);

@@ -1,0 +1,382 @@
+#include "navigator.h"
+
+#include <string.h>
+
+#define PI 3.14159265358979323846
+
+static int cells_of(double metres, double res) { return (int)(metres / res + 0.5); }
+
+static bool between(double v, double low, double high) { return v >= low && v <= high; }
+
+const char *navigator_check_settings(const planner_settings *s) {
+#define FINITE(name) \
+    if (!isfinite(s->name)) return #name;
+    PLANNER_SETTINGS(FINITE)
+#undef FINITE
+    if (!between(s->resolution_m, 0.01, 1.0)) return "resolution_m";
+    if (!between(s->local_size_m / s->resolution_m, 20, 240)) return "local_size_m";
+    if (!between(s->global_size_m / s->resolution_m, 20, 4000)) return "global_size_m";
+    if (!between(s->sim_time, 0.01, 10)) return "sim_time";
+    if (!between(s->sim_granularity, 1e-3, 5)) return "sim_granularity";
+    if (!between(s->angular_sim_granularity, 1e-3, 1.5708)) return "angular_sim_granularity";
+    if (!between(s->controller_frequency, 0.1, 1000)) return "controller_frequency";
+    if (!between(s->min_vel_x, 0, VELOCITY_MAX)) return "min_vel_x";
+    if (!between(s->escape_vel, -VELOCITY_MAX, 0)) return "escape_vel";
+    if (!between(s->min_in_place_vel_theta, 0, VELOCITY_MAX)) return "min_in_place_vel_theta";
+    if (!between(s->max_rotational_vel, 0, VELOCITY_MAX)) return "max_rotational_vel";
+    if (!between(s->half_length_m + s->footprint_padding, s->resolution_m, s->local_size_m / 4)) return "half_length_m";
+    if (!between(s->half_width_m + s->footprint_padding, s->resolution_m, s->local_size_m / 4)) return "half_width_m";
+    if (!between(s->beams, 2, 100000)) return "beams";
+    if (!between(s->angle_max_rad, 1e-6, PI)) return "angle_max_rad";
+    if (!between(s->obstacle_range, 0, 100)) return "obstacle_range";
+    if (!between(s->raytrace_range, 0, 100)) return "raytrace_range";
+    if (!between(s->cost_scaling_factor, 0, 100)) return "cost_scaling_factor";
+    if (!between(s->rotate_granularity_rad, 1e-3, PI)) return "rotate_granularity_rad";
+    if (!between(s->acc_lim_x, 0, 1000)) return "acc_lim_x";
+    if (!between(s->acc_lim_theta, 0, 1000)) return "acc_lim_theta";
+    return NULL;
+}
+
+const char *navigator_check_parameters(const planner_settings *s, const planner_parameters *p) {
+    if (!between(p->max_vel_x, 0, VELOCITY_MAX)) return "max_vel_x";
+    if (!between(p->max_vel_theta, 0, VELOCITY_MAX)) return "max_vel_theta";
+    if (!between(p->vx_samples, 1, SAMPLES_MAX)) return "vx_samples";
+    if (!between(p->vtheta_samples, 1, SAMPLES_MAX)) return "vtheta_samples";
+    if (!between(p->occdist_scale, 0, 5)) return "occdist_scale";
+    if (!between(p->pdist_scale, 0, 5)) return "pdist_scale";
+    if (!between(p->gdist_scale, 0, 5)) return "gdist_scale";
+    if (!between(p->inflation_radius, 0, INFLATION_CELLS_MAX * s->resolution_m)) return "inflation_radius";
+    return NULL;
+}
+
+// Memory is laid out by running the same walk twice: once to count, once to hand out.
+typedef struct {
+    char *base;
+    size_t used;
+} arena;
+
+static void *grab(arena *a, size_t bytes) {
+    void *at = a->base ? a->base + a->used : NULL;
+    a->used += (bytes + 63) & ~(size_t)63;
+    return at;
+}
+
+#define GRAB(a, type, count) ((type *)grab(a, sizeof(type) * (size_t)(count)))
+
+static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int w, int h, arena *a) {
+    const double fastest = fmax(VELOCITY_MAX, fabs(s->escape_vel));
+    p->steps_max = 2 + (int)fmax(fastest * s->sim_time / s->sim_granularity,
+                                 (double)VELOCITY_MAX / s->angular_sim_granularity);
+    wavefront *waves[2] = {&p->path, &p->goal};
+    for (int i = 0; i < 2; ++i) {
+        waves[i]->dist = GRAB(a, uint16_t, wavefront_cells(w, h));
+        waves[i]->queue = GRAB(a, int32_t, w * h);
+    }
+    p->near_max = GRAB(a, uint8_t, w * h);
+    p->near_tmp = GRAB(a, uint8_t, w * h);
+    rollout *scratch[3] = {&p->one, &p->two, &p->probe};
+    for (int i = 0; i < 3; ++i) {
+        scratch[i]->x = GRAB(a, double, p->steps_max);
+        scratch[i]->y = GRAB(a, double, p->steps_max);
+        scratch[i]->th = GRAB(a, double, p->steps_max);
+    }
+    p->xs = GRAB(a, double, p->steps_max);
+    p->ys = GRAB(a, double, p->steps_max);
+    for (int i = 0; i <= HEADING_RUNS; ++i) {
+        const int steps = i < HEADING_RUNS ? HEADING_STEPS : p->steps_max;
+        p->runs[i].th = GRAB(a, double, steps);
+        p->runs[i].cos_th = GRAB(a, double, steps);
+        p->runs[i].sin_th = GRAB(a, double, steps);
+    }
+}
+
+static void lay_out_map(costmap *m, int cells, double res, bool rolling, arena *a) {
+    m->frame = (grid_frame){cells, cells, res, 0, 0};
+    m->rolling = rolling;
+    m->obstacles = GRAB(a, uint8_t, cells * cells);
+    m->master = GRAB(a, uint8_t, cells * cells);
+}
+
+static void lay_out(navigator *n, const planner_settings *s, arena *a) {
+    const double res = s->resolution_m;
+    const int local = cells_of(s->local_size_m, res), global = cells_of(s->global_size_m, res);
+    const int largest = local > global ? local : global;
+    lay_out_map(&n->local, local, res, true, a);
+    lay_out_map(&n->global, global, res, false, a);
+    n->scratch.best = GRAB(a, uint8_t, largest * largest);
+    n->scratch.capacity = INFLATION_ENTRIES_PER_CELL * largest * largest;
+    n->scratch.entries = GRAB(a, inflation_entry, n->scratch.capacity);
+
+    navfn *plan = &n->plan;
+    plan->w = plan->h = global;
+    plan->cost = GRAB(a, uint8_t, global * global);
+    plan->potential = GRAB(a, float, global * global);
+    plan->pending = GRAB(a, uint8_t, global * global);
+    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER);
+    plan->path_capacity = 4 * global;
+    plan->path_x = GRAB(a, float, plan->path_capacity);
+    plan->path_y = GRAB(a, float, plan->path_capacity);
+    plan->plan = GRAB(a, double, 2 * (plan->path_capacity + 1));
+
+    n->latest = GRAB(a, double, 2 * (plan->path_capacity + 1));
+    n->local_plan.plan.capacity = plan->path_capacity + 1;
+    n->local_plan.plan.x = GRAB(a, double, plan->path_capacity + 1);
+    n->local_plan.plan.y = GRAB(a, double, plan->path_capacity + 1);
+    n->seen.x = GRAB(a, float, s->beams);
+    n->seen.y = GRAB(a, float, s->beams);
+    lay_out_rollouts(&n->local_plan.rollouts, s, local, local, a);
+}
+
+size_t navigator_bytes(const planner_settings *set) {
+    navigator unused;
+    arena a = {NULL, 0};
+    memset(&unused, 0, sizeof unused);
+    grab(&a, sizeof unused);
+    lay_out(&unused, set, &a);
+    return a.used;
+}
+
+navigator *navigator_init(void *memory, const planner_settings *set, const planner_parameters *par) {
+    arena a = {memory, 0};
+    navigator *n = grab(&a, sizeof *n);
+    memset(n, 0, sizeof *n);
+    lay_out(n, set, &a);
+    n->set = *set;
+    n->shape = footprint_make(set->half_length_m, set->half_width_m, set->footprint_padding);
+    rollout_planner *r = &n->local_plan.rollouts;
+    r->set = &n->set;
+    r->shape = n->shape;
+    r->near_radius = (int)ceil(n->shape.reach / set->resolution_m) + 1;
+    navfn_init(&n->plan);
+    navigator_set_parameters(n, par);
+    costmap_clear(&n->local, 0, 0);
+    costmap_clear(&n->global, set->global_origin_m, set->global_origin_m);
+    local_planner_reset(&n->local_plan);
+    n->state = NAVIGATOR_IDLE;
+    n->now = n->last_valid_plan = n->last_valid_control = NAN;
+    return n;
+}
+
+void navigator_reset(navigator *n, const double goal[3]) {
+    costmap_clear(&n->local, 0, 0);
+    costmap_clear(&n->global, n->set.global_origin_m, n->set.global_origin_m);
+    navfn_sync(&n->plan, n->global.master, n->global.touched);
+    n->plan.fresh = false;
+    n->plan.plan_count = n->latest_count = 0;
+    local_planner_reset(&n->local_plan);
+    memcpy(n->goal, goal, sizeof n->goal);
+    n->seen.count = 0;
+    n->state = NAVIGATOR_PLANNING;
+    n->reason = RECOVERY_FOR_PLANNING;
+    n->turn.active = false;
+    n->run_planner = true;
+    n->new_plan = n->have_plan = false;
+    n->recovery_index = n->recoveries = 0;
+    n->now = n->last_valid_plan = n->last_valid_control = NAN;
+    n->valid = false;
+    n->cycles = 0;
+}
+
+void navigator_set_parameters(navigator *n, const planner_parameters *par) {
+    planner_parameters p = *par;
+    p.vx_samples = floor(p.vx_samples);  // dynamic_reconfigure hands out whole numbers
+    p.vtheta_samples = floor(p.vtheta_samples);
+    n->par = p;
+    rollout_set_parameters(&n->local_plan.rollouts, &p);
+    n->local_plan.reached_goal = false;
+    const double inscribed = fmin(n->shape.x[2], n->shape.y[1]);
+    costmap *maps[2] = {&n->local, &n->global};
+    for (int i = 0; i < 2; ++i)
+        inflation_set(&maps[i]->inflate, p.inflation_radius, n->set.cost_scaling_factor, inscribed,
+                      n->set.resolution_m);
+}
+
+void navigator_add_scan(navigator *n, const float *ranges, const double pose[3]) {
+    const double c = cos(pose[2]), s = sin(pose[2]);
+    const int beams = (int)n->set.beams;
+    const double first = -n->set.angle_max_rad, step = 2 * n->set.angle_max_rad / (beams - 1);
+    observation *o = &n->seen;
+    o->count = 0;
+    if (!isfinite(pose[0]) || !isfinite(pose[1]) || !isfinite(pose[2])) return;
+    o->ox = pose[0] + n->set.laser_x_m * c;
+    o->oy = pose[1] + n->set.laser_x_m * s;
+    for (int i = 0; i < beams; ++i) {
+        const double r = ranges[i];
+        if (!(r > 0 && r < 1e6)) continue;
+        const double a = pose[2] + first + i * step;
+        o->x[o->count] = (float)(o->ox + r * cos(a));
+        o->y[o->count] = (float)(o->oy + r * sin(a));
+        o->count += 1;
+    }
+}
+
+static void robot_pose(const double pose[3], double out[3]) {
+    out[0] = pose[0], out[1] = pose[1], out[2] = yaw_through_quaternion(pose[2]);
+}
+
+void navigator_update_local(navigator *n, const double pose[3]) {
+    double p[3];
+    robot_pose(pose, p);
+    costmap_update(&n->local, &n->scratch, &n->set, &n->shape, &n->seen, p);
+}
+
+void navigator_update_global(navigator *n, const double pose[3]) {
+    double p[3];
+    robot_pose(pose, p);
+    costmap_update(&n->global, &n->scratch, &n->set, &n->shape, &n->seen, p);
+    navfn_sync(&n->plan, n->global.master, n->global.touched);
+}
+
+static void start_clock(navigator *n, double now) {
+    n->now = now;
+    if (isnan(n->last_valid_plan)) n->last_valid_plan = now;
+    if (isnan(n->last_valid_control)) n->last_valid_control = now;
+}
+
+// One turn of MoveBase::planThread.
+bool navigator_plan(navigator *n, const double pose[3], double now) {
+    if (!n->run_planner || n->state == NAVIGATOR_IDLE) return false;
+    if (!isnan(now)) start_clock(n, now);
+    if (navfn_plan(&n->plan, &n->global.frame, n->global.master, pose[0], pose[1], n->goal[0], n->goal[1])) {
+        n->latest_count = n->plan.plan_count;
+        memcpy(n->latest, n->plan.plan, sizeof(double) * 2 * (size_t)n->latest_count);
+        n->new_plan = n->have_plan = true;
+        n->last_valid_plan = n->now;
+        n->state = NAVIGATOR_CONTROLLING;
+        return true;
+    }
+    if (n->state == NAVIGATOR_PLANNING && n->now > n->last_valid_plan + n->set.planner_patience) {
+        n->state = NAVIGATOR_CLEARING;
+        n->run_planner = false;
+        n->reason = RECOVERY_FOR_PLANNING;
+    }
+    return false;
+}
+
+// One step of rotate_recovery: a full turn to the left, given up where the outline would touch something.
+// False when it is over.
+static bool keep_turning(navigator *n, const double pose[3], double out[2]) {
+    const planner_settings *s = &n->set;
+    rotation *t = &n->turn;
+    if (t->half && fabs(shortest_angle(pose[2], t->start_yaw)) <= s->yaw_goal_tolerance) return false;
+    double left;
+    if (!t->half) {
+        const double to_half = fabs(shortest_angle(pose[2], t->start_yaw + PI));
+        left = PI + to_half;
+        if (to_half < s->yaw_goal_tolerance) t->half = true;
+    } else {
+        left = fabs(shortest_angle(pose[2], t->start_yaw));
+    }
+    for (double ahead = 0; ahead < left; ahead += s->rotate_granularity_rad) {
+        const double th = pose[2] + ahead;
+        int cx, cy;
+        if (!world_to_map(&n->local.frame, pose[0], pose[1], &cx, &cy)) return false;
+        if (footprint_outline_cost(&n->shape, &n->local.frame, n->local.master, pose[0], pose[1], cos(th), sin(th)) < 0)
+            return false;
+    }
+    out[1] = fmin(fmax(sqrt(2 * s->acc_lim_theta * left), s->min_in_place_vel_theta), s->rotate_max_vel_theta);
+    return true;
+}
+
+static void finish_recovery(navigator *n) {
+    n->turn.active = false;
+    n->last_valid_plan = n->now;
+    n->state = NAVIGATOR_PLANNING;
+    n->recovery_index += 1;
+}
+
+static void abort_goal(navigator *n) {
+    n->run_planner = false;
+    n->state = NAVIGATOR_ABORTED;
+}
+
+static void start_recovery(navigator *n, const double pose[3], double out[2]) {
+    if (n->recovery_index >= RECOVERY_BEHAVIOURS) {
+        abort_goal(n);
+        return;
+    }
+    n->recoveries += 1;
+    if (n->recovery_index % 2 == 0) {  // clear_costmap_recovery of a layer that is not there
+        finish_recovery(n);
+        return;
+    }
+    n->turn = (rotation){.active = true, .start_yaw = pose[2]};
+    if (!keep_turning(n, pose, out)) finish_recovery(n);
+}
+
+static void follow_plan(navigator *n, const double pose[3], const double twist[2], double out[2]) {
+    if (n->local_plan.reached_goal) {
+        n->run_planner = false;
+        n->state = NAVIGATOR_SUCCEEDED;
+        return;
+    }
+    n->valid = local_planner_command(&n->local_plan, &n->local.frame, n->local.master, pose, twist, out);
+    if (n->valid) {
+        n->last_valid_control = n->now;
+        if (n->reason == RECOVERY_FOR_CONTROLLING) n->recovery_index = 0;
+        return;
+    }
+    out[0] = out[1] = 0;
+    if (n->now > n->last_valid_control + n->set.controller_patience) {
+        n->state = NAVIGATOR_CLEARING;
+        n->reason = RECOVERY_FOR_CONTROLLING;
+    } else {
+        n->last_valid_plan = n->now;
+        n->state = NAVIGATOR_PLANNING;
+        n->run_planner = true;
+    }
+}
+
+// MoveBase::executeCycle. A rotation blocks it there; here it takes one step a call until done.
+void navigator_control(navigator *n, const double pose_in[3], const double twist[2], double now, double out[2]) {
+    double pose[3];
+    out[0] = out[1] = 0;
+    n->valid = false;
+    if (n->state == NAVIGATOR_IDLE || n->state == NAVIGATOR_SUCCEEDED || n->state == NAVIGATOR_ABORTED) return;
+    start_clock(n, now);
+    robot_pose(pose_in, pose);
+    if (n->turn.active) {
+        if (!keep_turning(n, pose, out)) finish_recovery(n);
+        return;
+    }
+    if (n->new_plan) {
+        n->new_plan = false;
+        local_planner_set_plan(&n->local_plan, n->latest, n->latest_count, n->goal[2]);
+        if (n->reason == RECOVERY_FOR_PLANNING) n->recovery_index = 0;
+    }
+    switch (n->state) {
+        case NAVIGATOR_PLANNING: n->run_planner = true; break;
+        case NAVIGATOR_CONTROLLING: follow_plan(n, pose_in, twist, out); break;
+        case NAVIGATOR_CLEARING: start_recovery(n, pose, out); break;
+        default: break;
+    }
+}
+
+void navigator_cycle(navigator *n, const float *ranges, const double pose[3], const double twist[2], double now,
+                     double out[2]) {
+    navigator_add_scan(n, ranges, pose);
+    navigator_update_local(n, pose);
+    if (n->cycles % 2 == 0) navigator_update_global(n, pose);
+    n->cycles += 1;
+    navigator_plan(n, pose, now);
+    navigator_control(n, pose, twist, now, out);
+}
+
+double navigator_bearing(const navigator *n, const double pose[3], double lookahead) {
+    if (!n->have_plan || n->latest_count == 0) return 0;
+    const double *p = n->latest;
+    int nearest = 0;
+    double best = INFINITY;
+    for (int i = 0; i < n->latest_count; ++i) {
+        const double dx = p[2 * i] - pose[0], dy = p[2 * i + 1] - pose[1], d = dx * dx + dy * dy;
+        if (d < best) best = d, nearest = i;
+    }
+    double arc = 0;
+    int i = nearest;
+    while (i < n->latest_count - 1 && arc < lookahead) {
+        arc += hypot(p[2 * i + 2] - p[2 * i], p[2 * i + 3] - p[2 * i + 1]);
+        ++i;
+    }
+    const double dx = p[2 * i] - pose[0], dy = p[2 * i + 1] - pose[1];
+    return dx == 0 && dy == 0 ? 0 : shortest_angle(pose[2], atan2(dy, dx));
+}

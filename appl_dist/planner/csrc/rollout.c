@@ -1,0 +1,380 @@
+#include "rollout.h"
+
+#include <float.h>
+#include <string.h>
+
+typedef struct {
+    double x, y, th, v, w;
+} motion;
+
+static double towards(double target, double now, double step) {  // computeNewVelocity
+    return target - now >= 0 ? fmin(target, now + step) : fmax(target, now - step);
+}
+
+static int step_count(const rollout_planner *p, double v, double w) {
+    const planner_settings *s = p->set;
+    const double n = fmax(fabs(v) * s->sim_time / s->sim_granularity, fabs(w) / s->angular_sim_granularity) + 0.5;
+    if (n >= p->steps_max) return p->steps_max;
+    return n >= 1 ? (int)n : 1;
+}
+
+static double total_cost(const rollout_planner *p, double path, double goal, double occ) {
+    return p->pdist * path + goal * p->gdist + p->par.occdist_scale * occ;
+}
+
+// generateTrajectory, word for word in its order of tests.
+static void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
+    const planner_settings *s = p->set;
+    const int n = step_count(p, v, w), impossible = p->frame.w * p->frame.h;
+    const double dt = s->sim_time / n;
+    double path = 0, goal = 0, occ = 0;
+    out->v = v, out->w = w, out->cost = -1, out->points = 0;
+    int i = 0;
+    for (; i < n; ++i) {
+        int cx, cy;
+        if (!world_to_map(&p->frame, m.x, m.y, &cx, &cy)) break;
+        const double c = cos(m.th), d = sin(m.th);
+        const int outline = footprint_outline_cost(&p->shape, &p->frame, p->cost, m.x, m.y, c, d);
+        if (outline < 0) break;
+        occ = fmax(fmax(occ, outline), p->cost[cy * p->frame.w + cx]);
+        path = wavefront_ros_value(&p->path, cx, cy);
+        goal = wavefront_ros_value(&p->goal, cx, cy);
+        if (goal >= impossible || path >= impossible) {
+            out->cost = -2;
+            break;
+        }
+        out->x[i] = m.x, out->y[i] = m.y, out->th[i] = m.th;
+        m.v = towards(v, m.v, s->acc_lim_x * dt);
+        m.w = towards(w, m.w, s->acc_lim_theta * dt);
+        m.x = m.x + m.v * c * dt;
+        m.y = m.y + m.v * d * dt;
+        m.th = m.th + m.w * dt;
+    }
+    out->points = i;
+    if (i == n) out->cost = total_cost(p, path, goal, occ);
+    p->rollouts += 1;
+    p->rollout_steps += i < n ? i + 1 : n;
+    if (p->trace && p->trace->count < p->trace->capacity)
+        p->trace->rows[p->trace->count++] = (rollout_row){v, w, out->cost, path, goal, occ, n, i};
+}
+
+static const heading_run *headings(rollout_planner *p, const motion *m, double w, int n, int column) {
+    const bool shared = column < HEADING_RUNS && n <= HEADING_STEPS;
+    heading_run *r = &p->runs[shared ? column : HEADING_RUNS];
+    if (shared && r->w == w && r->steps == n) return r;
+    const double dt = p->set->sim_time / n, step = p->set->acc_lim_theta * dt;
+    double th = m->th, rate = m->w;
+    for (int i = 0; i < n; ++i) {
+        r->th[i] = th;
+        if (i > 0 && th == r->th[i - 1]) {
+            r->cos_th[i] = r->cos_th[i - 1], r->sin_th[i] = r->sin_th[i - 1];
+        } else {
+            r->cos_th[i] = cos(th), r->sin_th[i] = sin(th);
+        }
+        rate = towards(w, rate, step);
+        th = th + rate * dt;
+    }
+    r->w = w, r->steps = n;
+    return r;
+}
+
+// Whether the sample is legal and cheaper than `limit` (or as cheap, with `ties`); then `out` holds it.
+// Equal to `simulate` for samples that pass; those that cannot are dropped as soon as that is certain: the
+// distance terms are known from the last point alone and the obstacle term only grows along the way.
+// `ahead` (in-place turns only): the goal distance ahead of the last point must be below *ahead, which it becomes.
+static bool simulate_if_better(rollout_planner *p, const motion *m, double v, double w, int column, double limit,
+                               bool ties, double *ahead, rollout *out) {
+    const planner_settings *s = p->set;
+    const int n = step_count(p, v, w);
+    const double dt = s->sim_time / n, step = s->acc_lim_x * dt;
+    const heading_run *r = headings(p, m, w, n, column);
+    double x = m->x, y = m->y, speed = m->v;
+    for (int i = 0; i < n; ++i) {
+        p->xs[i] = x, p->ys[i] = y;
+        speed = towards(v, speed, step);
+        x = x + speed * r->cos_th[i] * dt;
+        y = y + speed * r->sin_th[i] * dt;
+    }
+    // What the real code would do at most; it stops earlier where a roll-out hits something.
+    p->rollouts += 1;
+    p->rollout_steps += n;
+
+    const grid_frame *g = &p->frame;
+    int cx, cy;
+    if (!world_to_map(g, p->xs[n - 1], p->ys[n - 1], &cx, &cy)) return false;
+    const int path = wavefront_distance(&p->path, cx, cy);
+    if (path >= WAVE_LIMIT) return false;
+    if (limit >= 0 && p->pdist * path > limit) return false;  // spares growing the goal's wave
+    const int goal = wavefront_distance(&p->goal, cx, cy);
+    if (goal >= WAVE_LIMIT) return false;
+    double cost = total_cost(p, path, goal, 0);
+    if (limit >= 0 && (ties ? cost > limit : cost >= limit)) return false;
+
+    double new_ahead = 0;
+    if (ahead) {
+        int ax, ay;
+        const int last = n - 1;
+        if (!world_to_map(g, p->xs[last] + s->heading_lookahead * r->cos_th[last],
+                          p->ys[last] + s->heading_lookahead * r->sin_th[last], &ax, &ay))
+            return false;
+        new_ahead = wavefront_ros_value(&p->goal, ax, ay);
+        if (!(new_ahead < *ahead)) return false;
+    }
+
+    int occ = 0;
+    const int r0 = p->near_radius;
+    for (int i = n - 1; i >= 0; --i) {  // far points fail first
+        if (!world_to_map(g, p->xs[i], p->ys[i], &cx, &cy)) return false;
+        if (wavefront_distance(&p->path, cx, cy) >= WAVE_LIMIT) return false;
+        if (wavefront_distance(&p->goal, cx, cy) >= WAVE_LIMIT) return false;
+        const int at = cy * g->w + cx;
+        const bool inside = cx >= r0 && cy >= r0 && cx < g->w - r0 && cy < g->h - r0;
+        if (inside && p->near_max[at] <= occ) continue;  // nothing under the robot could raise the cost
+        const int outline =
+            footprint_outline_cost(&p->shape, g, p->cost, p->xs[i], p->ys[i], r->cos_th[i], r->sin_th[i]);
+        if (outline < 0) return false;
+        const int worst = outline > p->cost[at] ? outline : p->cost[at];
+        if (worst <= occ) continue;
+        occ = worst;
+        cost = total_cost(p, path, goal, occ);
+        if (limit >= 0 && (ties ? cost > limit : cost >= limit)) return false;
+    }
+    out->v = v, out->w = w, out->cost = cost, out->points = n;
+    memcpy(out->x, p->xs, sizeof(double) * (size_t)n);
+    memcpy(out->y, p->ys, sizeof(double) * (size_t)n);
+    memcpy(out->th, r->th, sizeof(double) * (size_t)n);
+    if (ahead) *ahead = new_ahead;
+    return true;
+}
+
+// near_max[c] = highest cost in the square of `near_radius` around c: windows double until they cover it.
+static void window_max(const uint8_t *restrict from, uint8_t *restrict to, int n, int shift) {
+    for (int i = 0; i < n - shift; ++i) to[i] = from[i] > from[i + shift] ? from[i] : from[i + shift];
+}
+
+static void slide_max(uint8_t *map, uint8_t *tmp, int cells, int stride, int width) {
+    // map[i] becomes the maximum of `width` entries starting at i, `stride` apart. Rows run together: callers
+    // leave alone the cells near the border, whose windows wrap.
+    int have = 1;
+    while (have < width) {
+        const int shift = have * 2 <= width ? have : width - have;
+        window_max(map, tmp, cells, shift * stride);
+        memcpy(tmp + cells - shift * stride, map + cells - shift * stride, (size_t)(shift * stride));
+        memcpy(map, tmp, (size_t)cells);
+        have += shift;
+    }
+}
+
+static void build_near_max(rollout_planner *p) {
+    const int w = p->frame.w, h = p->frame.h, r = p->near_radius, cells = w * h;
+    memcpy(p->near_max, p->cost, (size_t)cells);
+    if (2 * r + 1 > w || 2 * r + 1 > h) {  // a map smaller than the robot: no shortcut
+        memset(p->near_max, COST_UNKNOWN, (size_t)cells);
+        return;
+    }
+    slide_max(p->near_max, p->near_tmp, cells, 1, 2 * r + 1);
+    slide_max(p->near_max, p->near_tmp, cells, w, 2 * r + 1);
+    const int centre = r * w + r;  // windows started at their corner; centre them
+    memmove(p->near_max + centre, p->near_max, (size_t)(cells - centre));
+}
+
+void rollout_reset(rollout_planner *p) {
+    p->stuck_left = p->stuck_right = p->rotating_left = p->rotating_right = p->escaping = false;
+    p->prev_x = p->prev_y = p->escape_x = p->escape_y = p->escape_theta = 0;
+    p->one.points = p->two.points = 0;
+}
+
+void rollout_set_parameters(rollout_planner *p, const planner_parameters *par) {
+    p->par = *par;
+    p->pdist = par->pdist_scale;
+    p->gdist = par->gdist_scale;
+    if (p->set->meter_scoring != 0) {
+        p->gdist *= p->set->resolution_m;
+        p->pdist *= p->set->resolution_m;
+    }
+}
+
+// MapGrid::adjustPlanResolution fused with its two users: setTargetCells and setLocalGoal.
+typedef struct {
+    rollout_planner *p;
+    bool started, left;
+    int goal_x, goal_y;
+} plan_walk;
+
+static void walk_point(plan_walk *walk, double x, double y) {
+    int cx, cy;
+    rollout_planner *p = walk->p;
+    if (walk->left) return;
+    if (world_to_map(&p->frame, x, y, &cx, &cy) && p->cost[cy * p->frame.w + cx] != COST_UNKNOWN) {
+        wavefront_target(&p->path, cx, cy);
+        walk->goal_x = cx, walk->goal_y = cy, walk->started = true;
+    } else if (walk->started) {
+        walk->left = true;
+    }
+}
+
+void rollout_set_plan(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
+                      double theta) {
+    const double res = p->frame.res;
+    p->goal_x = plan_x[n - 1], p->goal_y = plan_y[n - 1];
+    p->path.w = p->goal.w = p->frame.w, p->path.h = p->goal.h = p->frame.h;
+    wavefront_reset(&p->path, p->cost);
+    wavefront_reset(&p->goal, p->cost);
+    footprint_columns robot;
+    if (footprint_fill(&p->shape, &p->frame, x, y, theta, &robot))
+        for (int i = 0; i < robot.count; ++i)
+            for (int row = robot.low[i]; row <= robot.high[i]; ++row) wavefront_unblock(&p->path, robot.x0 + i, row);
+    plan_walk walk = {.p = p};
+    double last_x = plan_x[0], last_y = plan_y[0];
+    walk_point(&walk, last_x, last_y);
+    for (int i = 1; i < n && !walk.left; ++i) {
+        const double dx = plan_x[i] - last_x, dy = plan_y[i] - last_y, square = dx * dx + dy * dy;
+        if (square > res * res) {
+            const int steps = (int)ceil(sqrt(square) / res);
+            for (int j = 1; j < steps && !walk.left; ++j)
+                walk_point(&walk, last_x + j * (dx / steps), last_y + j * (dy / steps));
+        }
+        walk_point(&walk, plan_x[i], plan_y[i]);
+        last_x = plan_x[i], last_y = plan_y[i];
+    }
+    if (walk.started) wavefront_target(&p->goal, walk.goal_x, walk.goal_y);
+}
+
+typedef struct {
+    double min_v, max_v, dv, min_w, max_w, dw;
+    int nv, nw;
+} sample_window;
+
+static sample_window dynamic_window(const rollout_planner *p, const motion *m) {
+    const planner_settings *s = p->set;
+    const double period = 1.0 / s->controller_frequency;
+    const double reach = fmin(p->par.max_vel_x, hypot(p->goal_x - m->x, p->goal_y - m->y) / s->sim_time);
+    sample_window k = {.nv = (int)p->par.vx_samples, .nw = (int)p->par.vtheta_samples};
+    k.max_v = fmax(fmin(reach, m->v + s->acc_lim_x * period), s->min_vel_x);
+    k.min_v = fmax(s->min_vel_x, m->v - s->acc_lim_x * period);
+    k.max_w = fmin(p->par.max_vel_theta, m->w + s->acc_lim_theta * period);
+    k.min_w = fmax(-p->par.max_vel_theta, m->w - s->acc_lim_theta * period);
+    // One sample: the spacing is never added, and as infinity it forbids in-place turns, as the division by zero
+    // of the original does.
+    k.dv = k.nv > 1 ? (k.max_v - k.min_v) / (k.nv - 1) : INFINITY;
+    k.dw = k.nw > 1 ? (k.max_w - k.min_w) / (k.nw - 1) : INFINITY;
+    return k;
+}
+
+typedef struct {
+    rollout *best, *other;
+} contest;
+
+static void take(contest *c) {
+    rollout *t = c->best;
+    c->best = c->other;
+    c->other = t;
+}
+
+static void try_forward(rollout_planner *p, const motion *m, double v, double w, int column, contest *c) {
+    if (p->trace) {
+        simulate(p, *m, v, w, c->other);
+        if (c->other->cost >= 0 && (c->other->cost < c->best->cost || c->best->cost < 0)) take(c);
+    } else if (simulate_if_better(p, m, v, w, column, c->best->cost, false, NULL, c->other)) {
+        take(c);
+    }
+}
+
+static void try_turn(rollout_planner *p, const motion *m, double w, double dw, int column, double *ahead,
+                     contest *c) {
+    const double least = p->set->min_in_place_vel_theta;
+    const double limited = w > 0 ? fmax(w, least) : fmin(w, -least);
+    const bool allowed = (w > dw || w < -dw) && ((w < 0 && !p->stuck_left) || (w > 0 && !p->stuck_right));
+    if (!p->trace) {
+        if (allowed && simulate_if_better(p, m, 0, limited, column, c->best->cost, true, ahead, c->other)) {
+            take(c);
+        } else if (!allowed) {
+            p->rollouts += 1;
+            p->rollout_steps += step_count(p, 0, limited);
+        }
+        return;
+    }
+    rollout *t = c->other;
+    simulate(p, *m, 0, limited, t);
+    if (!allowed || t->cost < 0 || !(t->cost <= c->best->cost || c->best->cost < 0)) return;
+    const double th = t->th[t->points - 1];
+    int cx, cy;
+    if (!world_to_map(&p->frame, t->x[t->points - 1] + p->set->heading_lookahead * cos(th),
+                      t->y[t->points - 1] + p->set->heading_lookahead * sin(th), &cx, &cy))
+        return;
+    const double d = wavefront_ros_value(&p->goal, cx, cy);
+    if (d < *ahead) {
+        *ahead = d;
+        take(c);
+    }
+}
+
+static void forget_oscillation_after(rollout_planner *p, const motion *m) {
+    if (hypot(m->x - p->prev_x, m->y - p->prev_y) > p->set->oscillation_reset_dist)
+        p->rotating_left = p->rotating_right = p->stuck_left = p->stuck_right = false;
+}
+
+static void stop_escaping_after(rollout_planner *p, const motion *m) {
+    if (hypot(m->x - p->escape_x, m->y - p->escape_y) > p->set->escape_reset_dist ||
+        fabs(shortest_angle(p->escape_theta, m->th)) > p->set->escape_reset_theta)
+        p->escaping = false;
+}
+
+static void remember_turn(rollout_planner *p, const motion *m, const rollout *best) {
+    if (best->v > 0) return;
+    if (best->w < 0) {
+        if (p->rotating_right) p->stuck_right = true;
+        p->rotating_right = true;
+    } else if (best->w > 0) {
+        if (p->rotating_left) p->stuck_left = true;
+        p->rotating_left = true;
+    }
+    p->prev_x = m->x;
+    p->prev_y = m->y;
+}
+
+const rollout *rollout_best(rollout_planner *p, double x, double y, double theta, double v, double w) {
+    const motion m = {x, y, theta, v, w};
+    const sample_window k = dynamic_window(p, &m);
+    contest c = {&p->one, &p->two};
+    c.best->cost = c.other->cost = -1;
+    c.best->points = c.other->points = 0;
+    p->rollouts = p->rollout_steps = 0;
+    for (int i = 0; i <= HEADING_RUNS; ++i) p->runs[i].steps = 0;
+    if (!p->trace) build_near_max(p);
+
+    if (!p->escaping) {
+        double vs = k.min_v;
+        for (int i = 0; i < k.nv; ++i, vs += k.dv) {
+            try_forward(p, &m, vs, 0, 0, &c);
+            double ws = k.min_w;
+            for (int j = 0; j < k.nw - 1; ++j, ws += k.dw) try_forward(p, &m, vs, ws, 1 + j, &c);
+        }
+    }
+    double ahead = DBL_MAX, ws = k.min_w;
+    for (int j = 0; j < k.nw; ++j, ws += k.dw) try_turn(p, &m, ws, k.dw, 1 + j, &ahead, &c);
+
+    if (c.best->cost >= 0) {
+        remember_turn(p, &m, c.best);
+        forget_oscillation_after(p, &m);
+        stop_escaping_after(p, &m);
+        return c.best;
+    }
+    // Nothing legal: back up, whatever stands there.
+    rollout *back = c.other;
+    simulate(p, m, p->set->escape_vel, 0, back);
+    forget_oscillation_after(p, &m);
+    if (!p->escaping && back->cost > -2) {
+        p->escape_x = x, p->escape_y = y, p->escape_theta = theta;
+        p->escaping = true;
+    }
+    stop_escaping_after(p, &m);
+    if (back->cost == -1) back->cost = 1;
+    return back;
+}
+
+bool rollout_check(rollout_planner *p, double x, double y, double theta, double v, double w, double v_sample,
+                   double w_sample) {
+    simulate(p, (motion){x, y, theta, v, w}, v_sample, w_sample, &p->probe);
+    return p->probe.cost >= 0;
+}

@@ -1,0 +1,66 @@
+// Roll-outs of velocity samples and the choice among them: base_local_planner::TrajectoryPlanner with
+// dwa: true, heading_scoring, simple_attractor and holonomic_robot: false.
+#pragma once
+#include "footprint.h"
+#include "settings.h"
+#include "wavefront.h"
+
+typedef struct {
+    double v, w, cost;     // m/s, rad/s; cost -1 hits something or leaves the map, -2 has no way to the goal
+    int points;            // stored in x, y, th
+    double *x, *y, *th;    // m, m, rad, odom
+} rollout;
+
+// One evaluated sample, as the traced ROS code reports it.
+typedef struct {
+    double v, w, cost, path_cells, goal_cells, occ, num_steps, points;
+} rollout_row;
+
+typedef struct {
+    rollout_row *rows;
+    int capacity, count;
+} rollout_trace;
+
+// The headings of one sampled yaw rate; rows of samples with equal step counts share them.
+typedef struct {
+    double w;
+    int steps;
+    double *th, *cos_th, *sin_th;
+} heading_run;
+
+enum { HEADING_RUNS = 64, HEADING_STEPS = 256 };
+
+typedef struct {
+    const planner_settings *set;
+    planner_parameters par;
+    double pdist, gdist;           // scales in force: times the resolution with meter_scoring
+    footprint_shape shape;
+    grid_frame frame;              // the local map, valid during one call
+    const uint8_t *cost;
+    wavefront path, goal;
+    uint8_t *near_max, *near_tmp;  // (h, w) highest cost within `near_radius` cells (Chebyshev)
+    int near_radius;
+    double goal_x, goal_y;         // end of the local plan
+    // State over cycles. Names as in ROS, where left and right are swapped.
+    bool stuck_left, stuck_right, rotating_left, rotating_right, escaping;
+    double prev_x, prev_y, escape_x, escape_y, escape_theta;
+    // Scratch.
+    int steps_max;
+    rollout one, two, probe;
+    double *xs, *ys;
+    heading_run runs[HEADING_RUNS + 1];  // the last has room for steps_max and is never reused
+    rollout_trace *trace;                // NULL: samples that cannot win are not simulated to the end
+    long rollouts, rollout_steps;        // of the last call
+} rollout_planner;
+
+void rollout_reset(rollout_planner *p);
+void rollout_set_parameters(rollout_planner *p, const planner_parameters *par);
+
+// The plan of this cycle, (n) points: updatePlan and the part of findBestPath that lays out the grids.
+void rollout_set_plan(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
+                      double theta);
+// The best roll-out; its arrays are valid until the next call. Poses and twist as truncated to float by ROS.
+const rollout *rollout_best(rollout_planner *p, double x, double y, double theta, double v, double w);
+// TrajectoryPlanner::checkTrajectory
+bool rollout_check(rollout_planner *p, double x, double y, double theta, double v, double w, double v_sample,
+                   double w_sample);
