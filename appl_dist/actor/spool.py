@@ -35,9 +35,7 @@ class Spool:
     UserError: folder taken by a running process, of another owner, not writable or out of space.
     """
 
-    def __init__(
-        self, folder: str | Path, owner: str, max_count: int = 256, max_bytes: int = 256 << 20
-    ) -> None:
+    def __init__(self, folder: str | Path, owner: str, max_count: int = 256, max_bytes: int = 256 << 20) -> None:
         if max_count < 1 or max_bytes < 1:
             raise ValueError(f"max_count, max_bytes: got {max_count}, {max_bytes}; allowed 1 and up")
         self.folder = Path(folder)
@@ -212,13 +210,9 @@ class Spool:
             values: dict[str, Any] = json.loads(path.read_bytes())
             owner, following = str(values["owner"]), int(values["next_seq"])
         except (ValueError, TypeError, KeyError) as error:
-            raise UserError(
-                f"{path}: damaged ({error}); remove the folder to start this actor anew"
-            ) from error
+            raise UserError(f"{path}: damaged ({error}); remove the folder to start this actor anew") from error
         if owner != self.owner:
-            raise UserError(
-                f"spool {self.folder}: belongs to {owner}, not to {self.owner}; use another folder"
-            )
+            raise UserError(f"spool {self.folder}: belongs to {owner}, not to {self.owner}; use another folder")
         return following
 
     def _write_counter(self) -> None:
@@ -235,9 +229,7 @@ class Spool:
             raise self._cannot_write(error) from error
 
     def _cannot_write(self, error: OSError) -> UserError:
-        return UserError(
-            f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder"
-        )
+        return UserError(f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder")
 
 
 def _lock(folder: Path) -> int:
@@ -249,8 +241,7 @@ def _lock(folder: Path) -> int:
         holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
         raise UserError(
-            f"spool {folder}: in use by process {holder}; two actors cannot share a folder, "
-            "give each its own id"
+            f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
         ) from error
     os.truncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)

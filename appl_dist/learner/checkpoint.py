@@ -124,9 +124,7 @@ class CheckpointWriter:
                 old.unlink()
         except (OSError, SafetensorError) as e:
             tmp.unlink(missing_ok=True)
-            self._error = UserError(
-                f"{path}: cannot be written: {e}; the last good checkpoint is {self.last}"
-            )
+            self._error = UserError(f"{path}: cannot be written: {e}; the last good checkpoint is {self.last}")
         except Diverged as e:
             self._error = e
 

@@ -121,9 +121,7 @@ def test_an_actor_of_another_wire_version_is_refused_by_name(learner, actor):
     server.close()
 
 
-def test_a_good_sender_is_served_among_thousands_of_malformed_messages(
-    settings, learner, actor, tmp_path, caplog
-):
+def test_a_good_sender_is_served_among_thousands_of_malformed_messages(settings, learner, actor, tmp_path, caplog):
     store = ListStore()
     server = UploadServer(learner, "run1", Ingest(store, None, "run1"))
     good = encode_rollout(make_rollout(0))
