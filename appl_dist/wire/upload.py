@@ -40,7 +40,7 @@ class UploadSink(Protocol):
     """Where accepted rollouts go. Called from one thread, in order for each actor."""
 
     def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
-        """Store durably, then say so; or say why not."""
+        """Store durably, then say so; or say why not. ValueError: a rollout that can never be stored."""
 
     def expected_seq(self, actor_id: str) -> int:
         """The next sequence number of this actor."""
@@ -126,7 +126,9 @@ class UploadServer:
             try:
                 self._handle(query)
             except Exception as error:  # a full disk, say: nothing was acked, so the actor keeps the rollout
-                log.exception("upload of %s could not be stored", query.key)
+                if str(error) not in self._logged:  # it comes again with every retry
+                    self._logged.add(str(error))
+                    log.error("an upload could not be stored", exc_info=error)
                 self.counts["failed"] += 1
                 self._answer(query, Ack("busy", retry_s=_FAILED_RETRY_S, reason=f"the learner failed: {error}"[:500]))
 
@@ -141,7 +143,12 @@ class UploadServer:
         except ValueError as error:
             self._malformed(query, str(error))
             return
-        self._answer(query, self._judge(header, rollout))
+        try:
+            ack = self._judge(header, rollout)
+        except ValueError as error:  # the sink says that this rollout can never be stored
+            self._malformed(query, str(error))
+            return
+        self._answer(query, ack)
 
     def _judge(self, header: UploadHeader, rollout: Rollout | None) -> Ack:
         if header.run != self.run_id:

@@ -42,12 +42,12 @@ def rollouts(draw):
 def test_a_rollout_returns_with_only_its_scan_rounded(rollout):
     got = decode_rollout(encode_rollout(rollout))
     np.testing.assert_array_equal(got.observations[:, SCAN.stop :], rollout.observations[:, SCAN.stop :])
-    np.testing.assert_allclose(got.observations[:, SCAN], rollout.observations[:, SCAN], rtol=0, atol=2**-12)
+    np.testing.assert_allclose(got.observations[:, SCAN], rollout.observations[:, SCAN], rtol=0, atol=2**-16 * 1.02)
     np.testing.assert_array_equal(got.actions, rollout.actions)
     np.testing.assert_array_equal(got.rewards, rollout.rewards)
     assert got.terminal == rollout.terminal
     assert repr(got.info) == repr(rollout.info)  # repr, since nan differs from itself
-    assert encode_rollout(got) == encode_rollout(decode_rollout(encode_rollout(got)))
+    np.testing.assert_array_equal(decode_rollout(encode_rollout(got)).observations, got.observations)
 
 
 @given(st.binary(max_size=300))

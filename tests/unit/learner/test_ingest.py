@@ -59,6 +59,14 @@ def test_the_limiter_holds_new_rollouts_back_but_not_repeats():
     assert (limiter.asked, ingest.ledger()["a"]["busy"]) == ([3, 3, 3], 1)
 
 
+def test_a_large_held_fleet_is_asked_back_later():
+    limiter = Limiter()
+    ingest = Ingest(ListStore(), limiter, "r", retry_s=0.25)
+    limiter.open = False
+    acks = [ingest.store(header(0, f"a{i}"), make_rollout(0)) for i in range(500)]
+    assert [acks[i].retry_s for i in (0, 15, 31, 499)] == [0.25, 0.25, 0.5, 5.0]
+
+
 def test_another_run_is_refused():
     assert send(Ingest(ListStore(), None, "r"), 0, run="q")[0] == "refused"
 

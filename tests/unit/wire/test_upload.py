@@ -145,6 +145,17 @@ def test_a_refusal_reaches_the_next_put_and_what_is_pending_stays(hub, spool):
     assert len(spool) == 1
 
 
+def test_a_rollout_that_replay_can_never_store_is_refused_with_its_reason(hub, spool):
+    server = UploadServer(hub.connect(), "run1", ScriptedSink(ValueError("actions: got shape (3, 7)")))
+    uploader = Uploader(hub.connect(), "run1", "a0", spool)
+    uploader.start()
+    spool.put(encode_rollout(make_rollout(0)))
+    assert wait_until(lambda: uploader.refused == "actions: got shape (3, 7)")
+    uploader.close()
+    server.close()
+    assert (server.counts["malformed"], server.counts["failed"]) == (1, 0)
+
+
 def test_no_learner_is_a_sentence(hub, spool):
     with pytest.raises(UserError, match=r"no learner of run run1 answered within 0\.1 s"):
         Uploader(hub.connect(), "run1", "a0", spool).start(timeout_s=0.1)
