@@ -54,9 +54,7 @@ class Ingest:
     retry_s: when to ask again while the limiter holds inserts back, s.
     """
 
-    def __init__(
-        self, replay: ReplayLike, limiter: LimiterLike | None, run_id: str, retry_s: float = 0.25
-    ) -> None:
+    def __init__(self, replay: ReplayLike, limiter: LimiterLike | None, run_id: str, retry_s: float = 0.25) -> None:
         self.run_id = run_id
         self._replay = replay
         self._limiter = limiter

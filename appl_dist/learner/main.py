@@ -61,9 +61,7 @@ class Learner:
 
     def __init__(self, bus: Bus, run: Run, settings: LearnerSettings) -> None:
         self.run_info, self.settings = run, settings
-        self.replay = Replay(
-            run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma
-        )
+        self.replay = Replay(run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma)
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
@@ -134,7 +132,15 @@ class Learner:
 
     def close(self) -> None:
         """Let go of the wire and the files."""
-        for part in (self.control, self.server, self.publisher, self.roster, self.checkpoints, self.metrics, self.replay):
+        for part in (
+            self.control,
+            self.server,
+            self.publisher,
+            self.roster,
+            self.checkpoints,
+            self.metrics,
+            self.replay,
+        ):
             part.close()
 
     @property

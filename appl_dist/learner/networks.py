@@ -71,9 +71,7 @@ class FlatMLP:
             if at == len(flat):
                 break
             middle, end = at + self.heads * i * o, at + self.heads * (i + 1) * o
-            views.append(
-                Layer(flat[at:middle].view(self.heads, i, o), flat[middle:end].view(self.heads, 1, o))
-            )
+            views.append(Layer(flat[at:middle].view(self.heads, i, o), flat[middle:end].view(self.heads, 1, o)))
             at = end
         return views
 

@@ -43,9 +43,7 @@ _ENTRY = np.dtype(
         ("actor", "<u4"),
     ]
 )
-_ACTOR = np.dtype(
-    [("id", f"S{_ACTOR_ID_BYTES}"), ("floor", "<i8")]
-)  # floor: sequence numbers below are evicted
+_ACTOR = np.dtype([("id", f"S{_ACTOR_ID_BYTES}"), ("floor", "<i8")])  # floor: sequence numbers below are evicted
 
 
 @dataclass(frozen=True)
@@ -223,14 +221,10 @@ class Replay:
             return slot
         name = actor_id.encode()
         if not 1 <= len(name) <= _ACTOR_ID_BYTES or b"\0" in name:
-            raise ValueError(
-                f"actor id {actor_id!r}: got {len(name)} bytes; allowed 1..{_ACTOR_ID_BYTES}, no NUL"
-            )
+            raise ValueError(f"actor id {actor_id!r}: got {len(name)} bytes; allowed 1..{_ACTOR_ID_BYTES}, no NUL")
         slot = len(self._slots)
         if slot == MAX_ACTORS:
-            raise UserError(
-                f"replay: {MAX_ACTORS} actor ids seen; actors must keep their id when they restart"
-            )
+            raise UserError(f"replay: {MAX_ACTORS} actor ids seen; actors must keep their id when they restart")
         self._actors.claim(slot, slot + 1)
         self._actors.data[slot] = (name, 0)
         self._header.data["actors"][0] = slot + 1

@@ -139,8 +139,7 @@ class TD3:
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Every tensor and plain number that `update` depends on. The tensors are the live ones: copy them."""
         tensors = {
-            f"{name}.flat": getattr(self, name).flat
-            for name in ("actor", "critic", "actor_target", "critic_target")
+            f"{name}.flat": getattr(self, name).flat for name in ("actor", "critic", "actor_target", "critic_target")
         }
         for name, adam, net in self._optimisers():
             for key in ("exp_avg", "exp_avg_sq", "step"):
@@ -161,8 +160,7 @@ class TD3:
             net.refresh()
         for name, adam, net in self._optimisers():
             adam.state[net.flat] = {
-                key: tensors[f"{name}.{key}"].to(self.device, copy=True)
-                for key in ("step", "exp_avg", "exp_avg_sq")
+                key: tensors[f"{name}.{key}"].to(self.device, copy=True) for key in ("step", "exp_avg", "exp_avg_sq")
             }
         self.noise.set_state(tensors["noise"].cpu())
         self.updates = int(numbers["updates"])
