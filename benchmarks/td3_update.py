@@ -70,9 +70,7 @@ def baseline(data: list[Rollout]) -> Callable[[], None]:
     for r in data:
         for i in range(len(r)):
             last = np.array([i == len(r) - 1])
-            buffer.add(
-                r.observations[i], r.observations[i + 1], r.actions[i], r.rewards[i : i + 1], last, [{}]
-            )
+            buffer.add(r.observations[i], r.observations[i + 1], r.actions[i], r.rewards[i : i + 1], last, [{}])
     return lambda: model.train(gradient_steps=UPDATES, batch_size=256)
 
 

@@ -11,6 +11,8 @@ import math
 import threading
 from dataclasses import dataclass
 
+_ROUNDING = 1e-6  # of `_ahead`, so that the narrowest tolerance allowed cannot lock both sides
+
 
 @dataclass(frozen=True)
 class LimiterSettings:
@@ -68,7 +70,9 @@ class RateLimiter:
     def may_insert(self, n: int) -> bool:
         """Whether n more transitions may be inserted now. True counts them as inserted."""
         with self._lock:
-            allowed = self._open or self._ahead(n, 0) <= self.settings.tolerance
+            # Below min_transitions sampling cannot free anybody, so inserting never waits there.
+            starting = self._inserted < self.settings.min_transitions
+            allowed = self._open or starting or self._ahead(n, 0) <= self.settings.tolerance + _ROUNDING
             self._inserted += n if allowed else 0
             return allowed
 
@@ -76,7 +80,7 @@ class RateLimiter:
         """Whether n more transitions may be sampled now. True counts them as sampled."""
         with self._lock:
             enough = self._inserted >= self.settings.min_transitions
-            allowed = enough and (self._open or self._ahead(0, n) >= -self.settings.tolerance)
+            allowed = enough and (self._open or self._ahead(0, n) >= -self.settings.tolerance - _ROUNDING)
             self._sampled += n if allowed else 0
             return allowed
 
