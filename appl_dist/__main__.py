@@ -1,0 +1,92 @@
+"""`appl-dist ROLE …`: dispatch to one role. A user's mistake ends in one sentence and exit status 2."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+
+from appl_dist.errors import UserError
+
+ROLES = {
+    "train": "run a learner and its actors on this machine, then evaluate the policy",
+    "learner": "run only the learner; actors anywhere connect to wire.endpoint",
+    "actor": "run one actor: appl-dist actor wire.endpoint=tcp/HOST:7447",
+    "evaluate": "compare policies on worlds: evaluation.methods=[default=default,mine=FILE]",
+    "worlds": "check, generate, count or draw BARN worlds",
+    "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE…",
+}
+CONFIGURED = ("train", "learner", "actor", "evaluate")
+
+
+def main(argv: list[str] | None = None) -> int:
+    arguments = sys.argv[1:] if argv is None else argv
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_usage())
+        return 0
+    role, rest = arguments[0], arguments[1:]
+    logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S")
+    try:
+        if role not in ROLES:
+            raise UserError(f"role {role!r}: expected one of {', '.join(ROLES)}")
+        return _run(role, rest)
+    except UserError as error:
+        print(f"appl-dist {role}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _run(role: str, rest: list[str]) -> int:
+    if role == "worlds":
+        from appl_dist.sim.cli import worlds_main
+
+        return worlds_main(rest)
+    if role == "conformance":
+        from appl_dist.planner.conformance import main as conformance
+
+        return conformance(rest)
+    if any(a in ("-h", "--help") for a in rest):
+        print(_help(role))
+        return 0
+    from appl_dist.config import load
+
+    settings = load(rest)
+    run: Callable[..., int]
+    if role == "train":
+        from appl_dist.launch.local import train as run
+    elif role == "learner":
+        from appl_dist.launch.roles import learner as run
+    elif role == "actor":
+        from appl_dist.launch.roles import actor as run
+    else:
+        from appl_dist.launch.roles import evaluate as run
+    return run(settings)
+
+
+def _usage() -> str:
+    rows = "\n".join(f"  {name:<12} {text}" for name, text in ROLES.items())
+    return f"usage: appl-dist ROLE [key=value …]\n\n{rows}\n\nappl-dist ROLE --help lists what a role takes."
+
+
+def _help(role: str) -> str:
+    from omegaconf import OmegaConf
+
+    from appl_dist.config import CONF, compose_dict
+
+    groups = "\n".join(
+        f"  {folder.name:<12} {', '.join(sorted(f.stem for f in folder.glob('*.yaml')))}"
+        for folder in sorted(CONF.iterdir())
+        if folder.is_dir()
+    )
+    return (
+        f"appl-dist {role}: {ROLES[role]}\n\n"
+        f"usage: appl-dist {role} [group=choice …] [key=value …]\n"
+        f"  e.g. appl-dist {role} timing=robot world.path=../shared/barn run.seed=1\n\n"
+        f"groups and their choices (conf/GROUP/CHOICE.yaml)\n{groups}\n\n"
+        f"keys and their defaults\n{OmegaConf.to_yaml(OmegaConf.create(compose_dict([])))}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

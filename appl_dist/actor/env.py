@@ -1,0 +1,177 @@
+"""The meta-MDP of APPLR as a gymnasium environment: each step drives the robot for one decision period.
+
+In: actions in [-1, 1], one per planner parameter. Out: observations of `spec.py`, rewards of `reward.py`. One episode
+is one trial of a protocol in one BARN world.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from appl_dist.actor.loop import NavigationLoop
+from appl_dist.actor.protocol import PROTOCOLS, Protocol
+from appl_dist.actor.reward import RewardSettings, reward
+from appl_dist.actor.timing import TimingSettings
+from appl_dist.planner.navigator import Navigator
+from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.sim.simulator import LidarSettings, RobotSettings, Simulator
+from appl_dist.sim.worlds import World
+from appl_dist.spec import (
+    BEARING,
+    DWA,
+    LIDAR_CLIP_M,
+    OBSERVATION_SIZE,
+    PARAMETERS,
+    SCAN,
+    FloatArray,
+    ParameterSpace,
+)
+
+
+class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
+    """Tunes the planner of a Jackal every `decision_period_s` while it crosses a BARN world.
+
+    Observation float32 (729,), action float32 (n,) in [-1, 1] (see `spec.py`). An episode terminates at the goal, in
+    a roll-over, or in a collision where the protocol says so; the time limit truncates it. `info` holds time_s,
+    success, collision, rolled_over, world, distance_m, min_clearance_m, recoveries and the parameters in force.
+
+    `reset(options={"world": index})` picks a world; otherwise every world is visited once, in a seeded random order,
+    before any is visited again.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (gymnasium's own declaration)
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        *,
+        protocol: Protocol = PROTOCOLS["appl"],
+        decision_period_s: float = 2.0,
+        space: ParameterSpace = DWA,
+        timing: TimingSettings = TimingSettings(),
+        rewards: RewardSettings = RewardSettings(),
+        planner: PlannerSettings = PlannerSettings(),
+        robot: RobotSettings = RobotSettings(),
+        lidar: LidarSettings = LidarSettings(),
+    ) -> None:
+        if not worlds:
+            raise ValueError("worlds: got none; an environment needs at least 1")
+        if not 0.1 <= decision_period_s <= 60.0:
+            raise ValueError(f"decision_period_s: got {decision_period_s}; allowed 0.1..60")
+        self.worlds = {world.index: world for world in worlds}
+        self.protocol = protocol
+        self.space = space
+        self.rewards = rewards
+        self.period_ms = round(decision_period_s * 1000)
+        self.loop = NavigationLoop(Simulator(robot, lidar), Navigator(planner), timing)
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (OBSERVATION_SIZE,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(space),), np.float32)
+        self._order: list[int] = []
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        super().reset(seed=seed)
+        if seed is not None:
+            self._order = []
+        index = (options or {}).get("world")
+        if index is None:
+            index = self.next_world()
+        if index not in self.worlds:
+            raise ValueError(f"options.world: got {index}; this environment has {len(self.worlds)} other worlds")
+        self.world = self.worlds[index]
+        start, self._goal = self.protocol.start(self.world), self.protocol.goal(self.world)
+        self._start_xy = (start[0], start[1])
+        self.loop.reset(self.world, int(self.np_random.integers(2**31)), start, self._goal)
+        self._clock_start_ms: int | None = 0 if self.protocol.clock_starts_after_m == 0.0 else None
+        self._success = self._over = False
+        self.min_clearance_m = math.inf
+        self._apply(self.space.defaults)
+        return self._observe(), self._info()
+
+    def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        if self._over:
+            raise RuntimeError("step() after the end of an episode: call reset() first")
+        self._apply(self.space.to_values(action))
+        before = self._position()
+        self.loop.advance(self.period_ms, self._ended)
+        self._ended()
+        after = self._position()
+        observation = self._observe()
+        terminated = self._success or self._failed()
+        truncated = not terminated and self._timed_out()
+        self._over = terminated or truncated
+        nearest_m = float(self.loop.scan.min())
+        goal = (float(self._goal[0]), float(self._goal[1]))
+        r = reward(self.rewards, before, after, goal, nearest_m, self._success)
+        return observation, r, terminated, truncated, self._info()
+
+    def close(self) -> None:
+        self.loop.simulator.close()
+
+    def next_world(self) -> int:
+        """Index of the next world in the seeded order that visits every world before any again."""
+        if not self._order:
+            self._order = [int(i) for i in self.np_random.permutation(list(self.worlds))]
+        return self._order.pop()
+
+    def _apply(self, values: NDArray[np.float64]) -> None:
+        self.parameters = values
+        self.loop.navigator.set_parameters(values)
+
+    def _position(self) -> tuple[float, float]:
+        pose = self.loop.simulator.pose
+        return float(pose[0]), float(pose[1])
+
+    def _ended(self) -> bool:
+        """Whether the trial is over now; latches success and the start of the clock."""
+        x, y = self._position()
+        self.min_clearance_m = min(self.min_clearance_m, self.loop.simulator.clearance_m)
+        if self._clock_start_ms is None:
+            moved_m = math.hypot(x - self._start_xy[0], y - self._start_xy[1])
+            if moved_m >= self.protocol.clock_starts_after_m:
+                self._clock_start_ms = self.loop.now_ms
+        self._success = self._success or (not self._failed() and self.protocol.succeeded(x, y, self._goal))
+        return self._success or self._failed() or self._timed_out()
+
+    def _failed(self) -> bool:
+        simulator = self.loop.simulator
+        return simulator.rolled_over or (self.protocol.collision_ends and simulator.collided)
+
+    def _timed_out(self) -> bool:
+        if self._clock_start_ms is None:
+            return self.loop.now_ms >= self.protocol.idle_limit_s * 1000
+        return self._time_s() >= self.protocol.limit_s
+
+    def _time_s(self) -> float:
+        return 0.0 if self._clock_start_ms is None else (self.loop.now_ms - self._clock_start_ms) / 1000.0
+
+    def _observe(self) -> FloatArray:
+        observation = np.empty(OBSERVATION_SIZE, np.float32)
+        np.minimum(self.loop.scan, LIDAR_CLIP_M, out=observation[SCAN])
+        observation[SCAN] *= 2.0 / LIDAR_CLIP_M
+        observation[SCAN] -= 1.0
+        bearing = self.loop.navigator.local_goal_bearing(self.loop.estimate[0])
+        observation[BEARING] = bearing / math.pi
+        observation[PARAMETERS] = self.space.to_action(self.parameters)
+        return observation
+
+    def _info(self) -> dict[str, Any]:
+        simulator = self.loop.simulator
+        return {
+            "time_s": self._time_s(),
+            "success": self._success,
+            "collision": simulator.collided,
+            "rolled_over": simulator.rolled_over,
+            "world": self.world.index,
+            "distance_m": simulator.distance_m,
+            "min_clearance_m": self.min_clearance_m,
+            "recoveries": self.loop.navigator.recoveries,
+            "parameters": self.parameters,
+        }

@@ -1,0 +1,179 @@
+"""The closed loop of robot and planner: one clock, the events of timing.py, simulator and navigator.
+
+In: a world, a start, a goal and planner parameters. Out: the robot driving. The simulator lives in the world frame;
+the navigator lives in the odometry frame, whose origin is the start position (axes parallel to the world's).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appl_dist.actor.timing import TimingSettings
+from appl_dist.planner.navigator import Navigator
+from appl_dist.sim.simulator import Simulator
+from appl_dist.sim.worlds import World
+from appl_dist.spec import FloatArray
+
+Array = NDArray[np.float64]
+NEVER = 1 << 60
+
+
+class Rate:
+    """`ros::Rate`: cycles lie on a grid of one period; after an overrun the next starts at once."""
+
+    def __init__(self, period_ms: int, phase_ms: int) -> None:
+        self.period_ms = period_ms
+        self.due_ms = phase_ms  # when the next cycle starts
+        self._grid_ms = phase_ms
+
+    def wait(self, until_ms: int) -> None:
+        """Something else holds what the cycle needs: start it later, on the same grid."""
+        self.due_ms = until_ms
+
+    def finish(self, now_ms: int) -> None:
+        """The cycle has ended: sets when the next one starts."""
+        expected = self._grid_ms + self.period_ms
+        late = now_ms > expected + self.period_ms  # more than a whole period: forget the old grid
+        self._grid_ms = now_ms if late else expected
+        self.due_ms = max(expected, now_ms)
+
+
+class NavigationLoop:
+    """Robot and planner coupled by the event model. Deterministic: world, seed and parameters fix every event."""
+
+    def __init__(self, simulator: Simulator, navigator: Navigator, timing: TimingSettings) -> None:
+        self.simulator = simulator
+        self.navigator = navigator
+        self.timing = timing
+
+    def reset(self, world: World, seed: int, start: Array, goal: Array) -> None:
+        """Put the robot at `start` (3,) of `world` and send it to `goal` (2,), both in the world frame."""
+        t = self.timing
+        rng = np.random.default_rng([seed, 0x7151])
+        phase = [
+            int(rng.integers(period)) if t.random_phases else 0
+            for period in (
+                t.local_map_period_ms,
+                t.global_map_period_ms,
+                t.plan_period_ms,
+                t.control_period_ms,
+            )
+        ]
+        self.simulator.reset(world, seed, start)
+        self.origin = np.array([start[0], start[1], 0.0])
+        self.navigator.reset(np.array([goal[0] - start[0], goal[1] - start[1], 0.0]))
+        self.now_ms = 0
+        self.command = np.zeros(2)
+        self._received_ms = 0
+        self._in_flight: list[tuple[int, Array]] = []  # commands on their way to the wheels
+        self._scan_due_ms = 0
+        self._scans: list[tuple[int, FloatArray, Array]] = []  # usable from, ranges, pose at the stamp
+        self.estimate = self._odometry()
+        self._estimates: list[tuple[int, tuple[Array, Array]]] = []
+        self._local = Rate(t.local_map_period_ms, phase[0])
+        self._global = Rate(t.global_map_period_ms, phase[1])
+        self._plan = Rate(t.plan_period_ms, phase[2])
+        self._control = Rate(t.control_period_ms, phase[3])
+        self._planning_from: Array | None = None
+        self._plan_done_ms = NEVER
+        self._control_done_ms = 0
+        self._sense()
+
+    def advance(self, duration_ms: int, stop: Callable[[], bool]) -> None:
+        """Run for `duration_ms`, or until `stop()`, asked whenever the lidar has fired, is true."""
+        end_ms = self.now_ms + duration_ms
+        while True:
+            arrival = self._in_flight[0][0] if self._in_flight else NEVER
+            event_ms = min(
+                self._scan_due_ms,
+                arrival,
+                self._local.due_ms,
+                self._global.due_ms,
+                self._plan_done_ms if self._planning_from is not None else self._plan.due_ms,
+                self._control.due_ms,
+            )
+            if event_ms >= end_ms:
+                self._drive_until(end_ms)
+                return
+            # Simultaneous events in the order of the data's way, so that `ideal` is one synchronous tick.
+            if event_ms == arrival:
+                self._drive_until(event_ms)
+                self.command = self._in_flight.pop(0)[1]
+                self._received_ms = event_ms
+            elif event_ms == self._scan_due_ms:
+                self._drive_until(event_ms)
+                self._sense()
+                if stop():
+                    return
+            else:
+                self._compute(event_ms)
+
+    def _drive_until(self, time_ms: int) -> None:
+        if time_ms > self.now_ms:
+            age_s = (self.now_ms - self._received_ms) / 1000.0
+            self.simulator.step(self.command, (time_ms - self.now_ms) / 1000.0, age_s)
+            self.now_ms = time_ms
+
+    def _sense(self) -> None:
+        """The lidar fires and odometry is published, on the same 50 Hz grid."""
+        estimate = self._odometry()
+        self.scan = self.simulator.scan()
+        self._scans.append((self.now_ms + self.timing.scan_delay_ms, self.scan, estimate[0]))
+        self._estimates.append((self.now_ms + self.timing.odometry_delay_ms, estimate))
+        self._scan_due_ms = self.now_ms + self.timing.scan_period_ms
+
+    def _odometry(self) -> tuple[Array, Array]:
+        """Pose (3,) in the odometry frame and twist (2,), as the wheels and the IMU tell them."""
+        return self.simulator.odom_pose - self.origin, self.simulator.odom_twist
+
+    def _newest_estimate(self, now_ms: int) -> tuple[Array, Array]:
+        while self._estimates and self._estimates[0][0] <= now_ms:
+            self.estimate = self._estimates.pop(0)[1]
+        return self.estimate
+
+    def _delay_ms(self, work_ms: float) -> int:
+        return math.ceil(work_ms * self.timing.cpu_factor)
+
+    def _compute(self, now_ms: int) -> None:
+        """Run the map, plan or control cycle that is due at `now_ms`."""
+        pose, twist = self._newest_estimate(now_ms)
+        t = self.timing
+        if now_ms == self._local.due_ms:
+            if now_ms < self._control_done_ms:  # control holds the local map: wait for it
+                self._local.wait(self._control_done_ms)
+                return
+            self._give_scan(now_ms)
+            self.navigator.update_local_map(pose)
+            self._local.finish(now_ms)
+        elif now_ms == self._global.due_ms:
+            if self._planning_from is not None and now_ms < self._plan_done_ms:  # planning holds the global map
+                self._global.wait(self._plan_done_ms)
+                return
+            self._give_scan(now_ms)
+            self.navigator.update_global_map(pose)
+            self._global.finish(now_ms)
+        elif self._planning_from is None and now_ms == self._plan.due_ms:
+            # The map is held while planning, so computing at the end from the pose at the start is the same.
+            self._planning_from = pose
+            self._plan_done_ms = now_ms + self._delay_ms(t.plan_ms)
+        elif self._planning_from is not None and now_ms == self._plan_done_ms:
+            self.navigator.plan(self._planning_from)
+            self._planning_from = None
+            self._plan.finish(now_ms)
+        else:
+            command = self.navigator.control(pose, twist, now_ms / 1000.0)
+            work_ms = t.control_base_ms + t.control_us_per_step * self.navigator.rollout_steps / 1000.0
+            self._control_done_ms = now_ms + self._delay_ms(work_ms)
+            self._in_flight.append((self._control_done_ms + t.command_delay_ms, command))
+            self._control.finish(self._control_done_ms)
+
+    def _give_scan(self, now_ms: int) -> None:
+        newest = None
+        while self._scans and self._scans[0][0] <= now_ms:
+            newest = self._scans.pop(0)
+        if newest is not None:
+            self.navigator.add_scan(newest[1], newest[2])

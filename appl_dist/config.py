@@ -1,0 +1,257 @@
+"""The configuration of every role: its schema, how it is composed, and the checks across fields.
+
+The schema is the parts' own frozen settings dataclasses, so a default is written once, where it is used. Hydra composes
+them with `conf/` and the command line; a wrong key, type or value becomes one sentence (UserError).
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+import json
+import os
+import re
+import typing
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from appl_dist.actor.exploration import ExplorationSettings
+from appl_dist.actor.protocol import PROTOCOLS
+from appl_dist.actor.reward import RewardSettings
+from appl_dist.actor.timing import TimingSettings
+from appl_dist.errors import UserError
+from appl_dist.learner.settings import LearnerSettings
+from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.sim.simulator import LidarSettings, RobotSettings
+from appl_dist.spec import SPACES
+from appl_dist.wire.settings import WireSettings
+
+T = TypeVar("T")
+CONFIG_OPTION = "--config="
+_PACKAGE = Path(__file__).resolve().parent
+CONF = next((p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir()), _PACKAGE / "conf")
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """folder: "" makes runs/<date>-<time>; resume: an earlier run's folder to continue.
+
+    The run ends at `transitions`, or after `minutes` of wall-clock if that comes first (0: no such limit).
+    """
+
+    folder: str = ""
+    resume: str = ""
+    seed: int = 0
+    transitions: int = 50_000
+    minutes: float = 0.0
+
+
+@dataclass(frozen=True)
+class WorldSettings:
+    """path: "" generates worlds; else a folder, tarball or npz of BARN worlds. train, test: which worlds.
+
+    A split is "train", "test" (the 250 / 50 of APPLR), "all", or indices and ranges: "0,6,12", "0:50", "0:300:6".
+    """
+
+    path: str = ""
+    count: int = 300
+    seed: int = 0
+    train: str = "train"
+    test: str = "test"
+
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """decision_period_s: how often the policy acts; space: which parameter box ("dwa" or "dwa_wide")."""
+
+    decision_period_s: float = 2.0
+    space: str = "dwa"
+
+
+@dataclass(frozen=True)
+class ActorSettings:
+    """id: "" takes actor-<host>-<pid>; spool: "" keeps unsent rollouts under the run folder, or ./spool/<id>."""
+
+    id: str = ""
+    spool: str = ""
+    spool_rollouts: int = 1000
+    spool_megabytes: int = 256
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """methods: label=policy pairs; a policy is "default", a policy file, "set:name=value,…" or a published set.
+
+    worlds: a split, as in `world`. workers: 0 takes one per core.
+    """
+
+    methods: tuple[str, ...] = ("default=default",)
+    worlds: str = "test"
+    trials: int = 10
+    workers: int = 0
+    folder: str = ""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything, checked. actors: 0 takes one per core."""
+
+    run: RunSettings
+    actors: int
+    serial: bool
+    world: WorldSettings
+    robot: RobotSettings
+    lidar: LidarSettings
+    timing: TimingSettings
+    planner: PlannerSettings
+    protocol: str
+    env: EnvSettings
+    reward: RewardSettings
+    explore: ExplorationSettings
+    actor: ActorSettings
+    learner: LearnerSettings
+    wire: WireSettings
+    evaluation: EvaluationSettings
+
+    def __post_init__(self) -> None:
+        _allowed("run.transitions", self.run.transitions, 1, 10**10)
+        _allowed("run.minutes", self.run.minutes, 0, 10**6)
+        _allowed("run.seed", self.run.seed, 0, 2**31 - 1)
+        _allowed("actors", self.actors, 0, 10_000)
+        _allowed("world.count", self.world.count, 1, 100_000)
+        _allowed("env.decision_period_s", self.env.decision_period_s, 0.1, 60.0)
+        _allowed("actor.spool_rollouts", self.actor.spool_rollouts, 1, 10**6)
+        _allowed("actor.spool_megabytes", self.actor.spool_megabytes, 1, 10**6)
+        _allowed("evaluation.trials", self.evaluation.trials, 1, 10_000)
+        _allowed("evaluation.workers", self.evaluation.workers, 0, 1024)
+        _one_of("env.space", self.env.space, SPACES)
+        _one_of("protocol", self.protocol, PROTOCOLS)
+        if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):
+            raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
+        for method in self.evaluation.methods:
+            if "=" not in method:
+                raise ValueError(f"evaluation.methods: got {method!r}; expected label=policy, as in default=default")
+
+
+def load(overrides: Sequence[str]) -> Settings:
+    """Settings of conf/config.yaml, or of a frozen `--config=FILE`, with command-line overrides. Raises UserError."""
+    files = [o.removeprefix(CONFIG_OPTION) for o in overrides if o.startswith(CONFIG_OPTION)]
+    rest = [o for o in overrides if not o.startswith(CONFIG_OPTION)]
+    if not files:
+        return from_dict(compose_dict(rest))
+    try:
+        frozen = json.loads(Path(files[-1]).read_text())
+        return from_dict(OmegaConf.to_container(OmegaConf.merge(frozen, OmegaConf.from_dotlist(rest))))  # type: ignore[arg-type]
+    except OSError as error:
+        raise UserError(f"--config: {files[-1]} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UserError(f"--config: {files[-1]} is damaged: {error}") from None
+
+
+def compose_dict(overrides: Sequence[str]) -> dict[str, Any]:
+    """The composed configuration as plain values: what a run freezes and the learner serves."""
+    ConfigStore.instance().store(name="schema", node=_schema(Settings))
+    for override in overrides:
+        if not re.match(r"^[~+]{0,2}[A-Za-z_][\w/.@]*(=|$)", override) or ("=" not in override and override[0] != "~"):
+            raise UserError(f"argument {override!r}: expected key=value, as in run.transitions=50000")
+    try:
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            node = compose("config", overrides=list(overrides))
+        plain = OmegaConf.to_container(node, resolve=True)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise UserError(_sentence(error)) from None
+    assert isinstance(plain, dict)
+    return {str(k): v for k, v in plain.items()}
+
+
+def from_dict(plain: dict[str, Any]) -> Settings:
+    """Settings of a composed or received configuration, every field checked. Raises UserError."""
+    try:
+        node = OmegaConf.merge(OmegaConf.structured(_schema(Settings)), plain)
+        checked: Any = OmegaConf.to_container(node, resolve=True)
+        return _build(Settings, checked)
+    except (OmegaConfBaseException, ValueError, TypeError) as error:
+        raise UserError(_sentence(error)) from None
+
+
+def as_dict(settings: Settings) -> dict[str, Any]:
+    """Plain values of `settings`, such that from_dict(as_dict(s)) == s."""
+    return dataclasses.asdict(settings)
+
+
+def cores() -> int:
+    """Processor cores this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def _schema(cls: type) -> type:
+    """A mutable twin of a frozen settings class: OmegaConf takes `frozen` to mean that nothing may be overridden."""
+    hints = typing.get_type_hints(cls)
+    rows: list[Any] = []
+    for f in dataclasses.fields(cls):
+        hint = hints[f.name]
+        if dataclasses.is_dataclass(hint):
+            twin = _schema(typing.cast(type, hint))
+            rows.append((f.name, twin, field(default_factory=twin)))
+        elif f.default is not dataclasses.MISSING:
+            default: Any = list(f.default) if isinstance(f.default, tuple) else f.default
+            rows.append((f.name, _plain(hint), field(default_factory=functools.partial(copy.copy, default))))
+        elif f.default_factory is not dataclasses.MISSING:
+            rows.append((f.name, _plain(hint), field(default_factory=f.default_factory)))
+        else:
+            rows.append((f.name, _plain(hint), "???"))
+    return dataclasses.make_dataclass(cls.__name__, rows)
+
+
+def _plain(hint: Any) -> Any:
+    """A type OmegaConf can check: literals become strings, tuples of any length become lists."""
+    origin = typing.get_origin(hint)
+    if origin is typing.Literal:
+        return str
+    if origin is tuple:
+        return list[typing.get_args(hint)[0]]  # type: ignore[misc]
+    return hint
+
+
+def _build(cls: type[T], values: dict[str, Any]) -> T:
+    hints = typing.get_type_hints(cls)
+    arguments: dict[str, Any] = {}
+    for f in dataclasses.fields(cls):  # type: ignore[arg-type]
+        value = values[f.name]
+        if dataclasses.is_dataclass(hints[f.name]):
+            value = _build(typing.cast(type, hints[f.name]), value)
+        elif isinstance(value, list):
+            value = tuple(value)
+        arguments[f.name] = value
+    return cls(**arguments)
+
+
+def _allowed(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise ValueError(f"{name}: got {value}; allowed {low:g}..{high:g}")
+
+
+def _one_of(name: str, value: str, allowed: Any) -> None:
+    if value not in allowed:
+        raise ValueError(f"{name}: got {value!r}; allowed {', '.join(sorted(allowed))}")
+
+
+def _sentence(error: BaseException) -> str:
+    """One line of a Hydra or OmegaConf error, with the key it is about."""
+    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    key = getattr(cause, "full_key", None)
+    first = " ".join(line.strip() for line in str(cause).splitlines()[:1])
+    first = re.sub(r"Could not override '([^']+)'\.?", r"\1: no such key.", first)
+    first = re.sub(r"Key '[^']+' is not in struct", "no such key; `appl-dist train --help` lists them", first)
+    if key and not first.startswith(str(key)):
+        first = f"{key}: {first}"
+    return first

@@ -1,0 +1,171 @@
+"""Trials: one drive of one method through one world, and running many of them in parallel.
+
+In: methods, world indices, trials a world, a factory of runners. Out: a sorted list of `Trial`, and, if
+asked for, a `trials.csv` that grows as trials finish and from which an interrupted evaluation goes on.
+
+Common random numbers: trial k of a world has the same seed for every method, so methods meet the same
+sensor noise and timing. What a trial gives depends on its job alone, never on the number of workers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from appl_dist.evaluate.trial_log import TrialLog
+from appl_dist.evaluate.workers import run_parallel
+
+OUTCOMES = ("goal", "timeout", "collision", "rollover")
+
+
+@dataclass(frozen=True)
+class Method:
+    """A policy under test: the label of its rows, the specification that `load_policy` takes, and a
+    fingerprint of its content, so that trials of an older policy of the same name are not mixed in."""
+
+    label: str
+    spec: str
+    fingerprint: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.fingerprint:
+            object.__setattr__(self, "fingerprint", hashlib.sha256(self.spec.encode()).hexdigest()[:12])
+
+
+@dataclass(frozen=True)
+class Job:
+    """What identifies a trial before it has run."""
+
+    method: str
+    policy: str  # fingerprint of the method's policy
+    world: int
+    trial: int
+    seed: int
+
+    @property
+    def key(self) -> tuple[str, int, int]:
+        return self.method, self.world, self.trial
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The result of one trial; a row of `trials.csv`.
+
+    `time_s` is the simulated time driven, also for a failed trial: what a failure counts is the
+    protocol's business (`failed_time_s`) and enters in the statistics. `outcome` is one of OUTCOMES;
+    `collided` is any contact with an obstacle, which some protocols do not end a trial for.
+    """
+
+    method: str
+    policy: str
+    world: int
+    trial: int
+    seed: int
+    success: bool
+    time_s: float
+    outcome: str
+    collided: bool
+    distance_m: float
+    min_clearance_m: float
+    decisions: int
+    recoveries: int
+
+    def __post_init__(self) -> None:
+        if self.outcome not in OUTCOMES:
+            raise ValueError(f"outcome: got {self.outcome!r}; allowed {', '.join(OUTCOMES)}")
+        if self.success != (self.outcome == "goal"):
+            raise ValueError(f"success: got {self.success} with outcome {self.outcome!r}")
+        if not np.isfinite(self.time_s) or self.time_s < 0.0:
+            raise ValueError(f"time_s: got {self.time_s}; allowed a finite time, 0 or more")
+
+    @property
+    def key(self) -> tuple[str, int, int]:
+        return self.method, self.world, self.trial
+
+
+class Runner(Protocol):
+    """Runs jobs; lives in one worker process and keeps its simulator between them."""
+
+    def __call__(self, job: Job) -> Trial: ...
+
+
+def trial_seed(seed: int, world: int, trial: int) -> int:
+    """Seed of a trial, the same for every method; below 2^53, so any reader of the CSV keeps it exact."""
+    return int(np.random.SeedSequence([seed, world, trial]).generate_state(1, np.uint64)[0] >> np.uint64(11))
+
+
+def make_jobs(methods: Sequence[Method], worlds: Sequence[int], trials: Iterable[int], seed: int) -> list[Job]:
+    """Every method in every world for each trial index.
+
+    Trial index outermost and methods innermost: an interrupted evaluation has about equally many
+    trials of every method in every world.
+    """
+    return [
+        Job(m.label, m.fingerprint, world, k, trial_seed(seed, world, k))
+        for k in trials
+        for world in worlds
+        for m in methods
+    ]
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    make_runner: Callable[[], Runner],
+    *,
+    workers: int = 1,
+    log: TrialLog | None = None,
+    on_trial: Callable[[Trial], None] | None = None,
+) -> list[Trial]:
+    """Run the jobs that `log` does not hold yet; return the trials of all, in the order of `jobs`.
+
+    `make_runner` is called once in each of `workers` spawned processes (0: in this process), so it must
+    pickle. `on_trial` is called in this process for each trial in order of completion, the logged ones
+    first. Raises UserError for bad input or a full disk, RuntimeError with the worker's traceback for a
+    fault in a runner; whatever ends it, the log holds every finished trial and no worker is left.
+    """
+    done: dict[tuple[str, int, int], Trial] = {}
+    if log is not None:
+        logged = log.matching(jobs)
+        done = {job.key: logged[job.key] for job in jobs if job.key in logged}
+    for trial in done.values():
+        if on_trial is not None:
+            on_trial(trial)
+    todo = [job for job in jobs if job.key not in done]
+    with closing(run_parallel(todo, make_runner, workers)) as results:
+        for trial in results:
+            done[trial.key] = trial
+            if log is not None:
+                log.append(trial)
+            if on_trial is not None:
+                on_trial(trial)
+    return [done[job.key] for job in jobs]
+
+
+def run_trials(
+    methods: Sequence[Method],
+    worlds: Sequence[int],
+    trials_per_world: int,
+    make_runner: Callable[[], Runner],
+    *,
+    workers: int = 1,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    config_hash: str = "",
+    on_trial: Callable[[Trial], None] | None = None,
+) -> list[Trial]:
+    """`run_jobs` over methods × worlds × trials, logged to `folder`/trials.csv if a folder is given.
+
+    `config_hash` stands for all that trials depend on besides method, world, trial and policy (protocol,
+    environment, seed); a folder with another one is refused.
+    """
+    jobs = make_jobs(methods, worlds, range(trials_per_world), seed)
+    if folder is None:
+        return run_jobs(jobs, make_runner, workers=workers, on_trial=on_trial)
+    with TrialLog(Path(folder) / "trials.csv", Trial, config_hash) as log:
+        return run_jobs(jobs, make_runner, workers=workers, log=log, on_trial=on_trial)

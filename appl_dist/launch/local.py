@@ -1,0 +1,208 @@
+"""`appl-dist train`: a learner and its actors on this machine, watched, shown, stopped together; then an evaluation."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+
+from appl_dist.config import Settings, as_dict, cores, from_dict
+from appl_dist.errors import UserError
+from appl_dist.launch import view
+from appl_dist.launch.processes import USER_ERROR, Child, stop_all
+from appl_dist.launch.roles import act_in_run, build_learner, environment_arguments, stop_event, worlds_of
+from appl_dist.wire.control import fetch_run, fetch_status
+
+log = logging.getLogger(__name__)
+
+CONFIG_FILE = "config.json"
+POLL_S = 1.0
+LOG_LINE_S = 10.0  # between lines where there is no terminal to draw on
+LEARNER_START_S = 60.0
+STOP_S = 20.0
+
+
+def train(settings: Settings) -> int:
+    """Run until the run's length is reached or Ctrl-C; status 0 also after Ctrl-C, which leaves a resumable folder."""
+    settings, folder = prepare(settings)
+    console = Console()
+    finished = _serial(settings) if settings.serial else _processes(settings, folder, console)
+    if not finished:
+        console.print(f"stopped; continue with: appl-dist train run.resume={folder}", highlight=False)
+        return 0
+    _evaluate(settings, folder, console)
+    return 0
+
+
+def prepare(settings: Settings) -> tuple[Settings, Path]:
+    """Make or find the run folder and freeze the configuration in it.
+
+    A resumed run keeps its own configuration; only its length, the number of actors and the wire come from now.
+    """
+    if settings.run.resume:
+        folder = Path(settings.run.resume)
+        frozen = _read_config(folder)
+        run = replace(
+            frozen.run, resume=str(folder), transitions=settings.run.transitions, minutes=settings.run.minutes
+        )
+        settings = replace(frozen, run=run, actors=settings.actors, wire=settings.wire, serial=settings.serial)
+    else:
+        folder = Path(settings.run.folder or time.strftime("runs/%Y%m%d-%H%M%S"))
+        if (folder / CONFIG_FILE).exists():
+            raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
+        settings = replace(settings, run=replace(settings.run, folder=str(folder)))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        partial = folder / f"{CONFIG_FILE}.tmp"
+        partial.write_text(json.dumps(as_dict(settings), indent=2))
+        os.replace(partial, folder / CONFIG_FILE)
+    except OSError as error:
+        raise UserError(f"run.folder: cannot write to {folder}: {error.strerror}") from None
+    worlds_of(settings, settings.world.train)  # a wrong path is told here, not by every actor
+    worlds_of(settings, settings.evaluation.worlds)
+    return settings, folder
+
+
+def _read_config(folder: Path) -> Settings:
+    try:
+        return from_dict(json.loads((folder / CONFIG_FILE).read_text()))
+    except OSError as error:
+        raise UserError(f"run.resume: {folder / CONFIG_FILE} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UserError(f"run.resume: {folder / CONFIG_FILE} is damaged: {error}") from None
+
+
+def _processes(settings: Settings, folder: Path, console: Console) -> bool:
+    """Whether the run reached its length."""
+    logs = folder / "logs"
+    logs.mkdir(exist_ok=True)
+    key = "run.resume" if settings.run.resume else "run.folder"
+    config = [f"--config={folder / CONFIG_FILE}"]
+    learner = Child("learner", ["learner", *config, f"{key}={folder}"], logs / "learner.log")
+    actors = [
+        Child(
+            f"actor-{i}",
+            ["actor", *config, f"actor.id=actor-{i}", f"actor.spool={folder / 'spool' / f'actor-{i}'}"],
+            logs / f"actor-{i}.log",
+        )
+        for i in range(settings.actors or cores())
+    ]
+    children = [learner, *actors]
+    stop = stop_event()
+    try:
+        for child in children:
+            child.start()
+        return _watch(settings, learner, children, stop.is_set, console)
+    finally:
+        for child in actors:  # they stop first: the learner still takes their last rollouts
+            child.signal(signal.SIGTERM)
+        for child in actors:
+            child.wait(STOP_S / 2)
+        stop_all(children, STOP_S)
+
+
+def _watch(
+    settings: Settings, learner: Child, children: list[Child], stop: Callable[[], bool], console: Console
+) -> bool:
+    """Show the run and restart what dies, until the learner ends (True) or `stop()` (False)."""
+    from appl_dist.wire.session import open_session
+
+    status: dict[str, Any] | None = None
+    session = run_id = None
+    notes: list[str] = []
+    next_line = 0.0
+    live = Live(view.render(None, notes), console=console, refresh_per_second=2) if console.is_terminal else None
+    if live:
+        live.start()
+    try:
+        while not stop():
+            time.sleep(POLL_S / 2)
+            if learner.returncode() == 0:
+                return True
+            for child in children:
+                if child.returncode() == USER_ERROR:
+                    raise UserError(f"{child.name} stopped: {child.last_words()}")
+                before = child.restarts
+                child.supervise()
+                if child.restarts > before:
+                    notes.append(f"{child.name} was restarted ({child.restarts}); see {child.log_file}")
+            try:
+                if session is None:
+                    session = open_session(replace(settings.wire, timeout_s=LEARNER_START_S), listen=False)
+                if run_id is None:
+                    run_id, _ = fetch_run(session, 1.0)
+                status = fetch_status(session, run_id, 2.0)
+            except UserError:
+                continue  # starting, or restarting
+            if live:
+                live.update(view.render(status, notes))
+            elif time.monotonic() >= next_line:
+                next_line = time.monotonic() + LOG_LINE_S
+                print(view.line(status), flush=True)
+        return False
+    finally:
+        if live:
+            live.stop()
+        if session is not None:
+            session.close()
+
+
+def _serial(settings: Settings) -> bool:
+    """The same graph in this process, one thing after another: an episode, then all the updates it allows."""
+    from appl_dist.wire.memory import MemoryHub
+
+    stop = stop_event()
+    hub = MemoryHub()
+    learner = build_learner(settings, hub.connect())
+    spool = learner.run_info.folder / "spool" / "actor-0"
+
+    def learn() -> bool:
+        while learner.step():
+            pass
+        return False
+
+    try:
+        act_in_run(
+            settings,
+            hub.connect(),
+            learner.run_info.run_id,
+            "actor-0",
+            spool,
+            lambda: stop.is_set() or learner.finished,
+            learn,
+        )
+        learner.end()
+        return learner.finished
+    finally:
+        learner.close()
+
+
+def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
+    """The final policy against the configured methods on worlds that training did not see."""
+    from appl_dist.evaluate.main import evaluate
+    from appl_dist.learner.main import POLICY_FILE
+
+    methods = [(label, spec) for label, _, spec in (m.partition("=") for m in settings.evaluation.methods)]
+    evaluate(
+        [*methods, ("learned", str(folder / POLICY_FILE))],
+        worlds_of(settings, settings.evaluation.worlds),
+        settings.evaluation.trials,
+        folder / "evaluation",
+        protocol=settings.protocol,
+        environment=environment_arguments(settings),
+        workers=settings.evaluation.workers or cores(),
+        seed=settings.run.seed,
+        metrics=folder / "metrics.csv",
+        console=console,
+    )
+    sys.stdout.flush()

@@ -1,0 +1,299 @@
+"""The learner process: takes rollouts in, trains, sends policies out, keeps what a restart needs.
+
+In: rollouts over the wire. Out: policies over the wire; in the run folder `policy.safetensors` (the newest),
+`checkpoints/`, `replay/`, `metrics.csv` and TensorBoard scalars.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appl_dist.errors import UserError
+from appl_dist.learner import checkpoint
+from appl_dist.learner.episodes import EpisodeStatistics
+from appl_dist.learner.ingest import Ingest
+from appl_dist.learner.limiter import RateLimiter
+from appl_dist.learner.metrics import MetricsWriter
+from appl_dist.learner.replay import Replay
+from appl_dist.learner.settings import LearnerSettings
+from appl_dist.learner.td3 import TD3, Diverged, read
+from appl_dist.policy_file import PolicyFile
+from appl_dist.spec import OBSERVATION_SIZE, ParameterSpace, Rollout
+from appl_dist.wire.bus import Bus
+from appl_dist.wire.codec import Ack, UploadHeader
+from appl_dist.wire.control import ControlServer
+from appl_dist.wire.liveness import Roster
+from appl_dist.wire.upload import UploadServer
+from appl_dist.wire.weights import WeightsPublisher
+
+log = logging.getLogger(__name__)
+
+POLICY_FILE = "policy.safetensors"
+# What of the status goes to TensorBoard and metrics.csv, and its name there.
+SCALARS = {
+    "success": "episode/success",
+    "time_s": "episode/time_s",
+    "return": "episode/return",
+    "episodes": "episode/count",
+    "staleness": "policy/staleness",
+    "version": "policy/version",
+    "sigma": "policy/noise_sigma",
+    "transitions_per_s": "rate/transitions_per_s",
+    "updates_per_s": "rate/updates_per_s",
+    "samples_per_insert": "rate/samples_per_insert",
+    "updates": "rate/updates",
+}
+DRAIN_S = 5.0  # after the run's end: for the last rollouts of actors that stop
+IDLE_S = 0.005
+
+
+@dataclass(frozen=True)
+class Run:
+    """What this run is: its id, folder, seed, length, and the frozen configuration served to actors."""
+
+    run_id: str
+    folder: Path
+    seed: int
+    transitions: int
+    minutes: float
+    config: dict[str, Any]
+    space: ParameterSpace
+    failed_time_s: float
+    sigma: Callable[[int], float]  # exploration noise after so many transitions, for the status
+
+
+class Learner:
+    """One run's learner. Construct, `run`, `close`; a second one on the same folder continues the first."""
+
+    def __init__(self, bus: Bus, run: Run, settings: LearnerSettings) -> None:
+        self.run_info, self.settings = run, settings
+        self.replay = Replay(run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma)
+        self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
+        self.rng = np.random.default_rng([run.seed, 0x7D3])
+        self.checkpoints = checkpoint.CheckpointWriter(run.folder / "checkpoints")
+        self.version = 0
+        self.epoch = self._resume()
+        self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
+        self._gate = _Gate(self.limiter)
+        self.statistics = EpisodeStatistics(run.failed_time_s)
+        self.metrics = MetricsWriter(run.folder)
+        self._started = time.monotonic()
+        self._rates = _Rates()
+        self._publishing = _Every(settings.publish_every_s)
+        self._reporting = _Every(settings.report_every_s)
+        self._saving = _Every(settings.checkpoint_every_s)
+        self._last: dict[str, float] = {}
+        self._status = self._status_now()
+        self.ingest = Ingest(self.replay, self._gate, run.run_id)
+        self.publisher = WeightsPublisher(bus, run.run_id)
+        self._publish()
+        self.roster = Roster(bus, run.run_id)
+        self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
+        self.control = ControlServer(
+            bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=lambda: self._status
+        )
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Train until the run's transitions or minutes are reached, or `stop()`; then stop all actors.
+
+        Raises UserError, naming the last good checkpoint, if training diverges.
+        """
+        while not stop() and not self.finished:
+            if not self.step():
+                time.sleep(IDLE_S)
+        self.end()
+
+    def step(self) -> bool:
+        """One update if the limiter allows it, and whatever else is due; whether there was an update."""
+        may_learn = self.limiter.may_sample(self.settings.td3.batch_size)
+        try:
+            if may_learn:
+                self._update()
+            self._publishing.run(self._publish)
+            self._reporting.run(self._report)
+            self._saving.run(self.save)
+        except Diverged as error:
+            raise UserError(
+                f"training diverged: {error}; the last good checkpoint is {self.checkpoints.last or 'none'}, "
+                "resume from it with other learner settings"
+            ) from None
+        return may_learn
+
+    def end(self) -> None:
+        """Stop the actors, take what they still send, and keep the final policy."""
+        self.control.set_state("stop")
+        self._gate.ended = True
+        deadline = time.monotonic() + DRAIN_S
+        while time.monotonic() < deadline and any(m.role == "actor" and m.alive for m in self.roster.members()):
+            time.sleep(0.05)
+        self.version += 1
+        self.save()
+        self.checkpoints.wait()
+        self._report()
+        log.info("ended at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+
+    def save(self) -> None:
+        """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
+        self.checkpoints.save(self.td3, self.rng, self._counts())
+        self._policy().save(self.run_info.folder / POLICY_FILE)
+
+    def close(self) -> None:
+        """Let go of the wire and the files."""
+        for part in (self.control, self.server, self.publisher, self.roster, self.metrics, self.replay):
+            part.close()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has its transitions, or its minutes are over."""
+        minutes = (time.monotonic() - self._started) / 60.0
+        return self.replay.transitions_total >= self.run_info.transitions or 0.0 < self.run_info.minutes <= minutes
+
+    def _resume(self) -> int:
+        """Load the newest checkpoint, if any; this process's epoch, one more than the last one's."""
+        file = self.run_info.folder / "epoch.json"
+        epoch = json.loads(file.read_text())["epoch"] + 1 if file.exists() else 1
+        newest = checkpoint.newest(self.checkpoints.folder)
+        if newest is not None:
+            self.version = int(checkpoint.load(newest).restore(self.td3, self.rng)["version"])
+            log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+        file.write_text(json.dumps({"epoch": epoch}))
+        return int(epoch)
+
+    def _counts(self) -> dict[str, Any]:
+        return {"version": self.version, "epoch": self.epoch, "transitions": self.replay.transitions_total}
+
+    def _samples(self) -> int:
+        return self.td3.updates * self.settings.td3.batch_size
+
+    def _update(self) -> None:
+        batch = self.replay.sample(self.settings.td3.batch_size, self.rng)
+        detail = self.td3.updates % self.settings.detail_every == 0
+        metrics = self.td3.update(batch, detail)
+        self.limiter.count_sample(self.settings.td3.batch_size)
+        if detail:
+            self._last.update(read(metrics))
+
+    def _policy(self) -> PolicyFile:
+        weights, biases = self.td3.policy_arrays()
+        return PolicyFile(
+            weights, biases, space=self.run_info.space, epoch=self.epoch, version=self.version,
+            transitions=self.replay.transitions_total,
+        )  # fmt: skip
+
+    def _publish(self) -> None:
+        self.version += 1
+        self.statistics.current_version = self.version
+        self.publisher.publish(self.epoch, self.version, self._policy().to_bytes())
+
+    def _report(self) -> None:
+        self._rates.mark(self.replay.transitions_total, self.td3.updates)
+        self._status = status = self._status_now()
+        scalars = {SCALARS[k]: float(status[k]) for k in SCALARS if status[k] is not None}
+        self.metrics.write(self.replay.transitions_total, {**scalars, **self._named(self._last)})
+
+    def _named(self, numbers: dict[str, float]) -> dict[str, float]:
+        """Saturation by the parameter's name instead of its number."""
+        names = self.run_info.space.names
+        return {
+            f"saturation/{names[int(k.split('/')[1])]}" if k.startswith("saturation/") else k: v
+            for k, v in numbers.items()
+        }
+
+    def _status_now(self) -> dict[str, Any]:
+        """What the terminal view, the metrics file and TensorBoard show."""
+        transitions = self.replay.transitions_total
+        actors = []
+        if hasattr(self, "roster"):
+            for m in self.roster.members():
+                if m.role == "actor" and m.alive:
+                    actors.append(
+                        {
+                            "id": m.member_id,
+                            "transitions_per_s": m.rate,
+                            "world": m.progress.get("world", -1),
+                            "version": m.progress.get("policy_version", -1),
+                            "pending": m.progress.get("pending", 0),
+                            "silent_s": m.silent_s,
+                        }
+                    )
+        return {
+            "run_id": self.run_info.run_id,
+            "run_transitions": self.run_info.transitions,
+            "transitions": transitions,
+            "updates": self.td3.updates,
+            "elapsed_s": time.monotonic() - self._started,
+            "transitions_per_s": self._rates.transitions_per_s,
+            "updates_per_s": self._rates.updates_per_s,
+            "samples_per_insert": self._samples() / max(transitions, 1),
+            "queue": sum(a["pending"] for a in actors),
+            "version": self.version,
+            "sigma": self.run_info.sigma(transitions),
+            **self.statistics.figures(),
+            "actors": actors,
+        }
+
+
+class _Sink:
+    """Ingest, with the episode figures told of every rollout that was stored."""
+
+    def __init__(self, ingest: Ingest, learner: Learner) -> None:
+        self._ingest, self._learner = ingest, learner
+
+    def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
+        ack = self._ingest.store(header, rollout)
+        if ack.status == "stored":
+            self._learner.limiter.count_insert(len(rollout))
+            self._learner.statistics.add(rollout)
+        return ack
+
+    def expected_seq(self, actor_id: str) -> int:
+        return self._ingest.expected_seq(actor_id)
+
+
+class _Gate:
+    """The limiter as ingest sees it; once the run has ended everything still on its way is let in."""
+
+    def __init__(self, limiter: RateLimiter) -> None:
+        self._limiter = limiter
+        self.ended = False
+
+    def may_insert(self, transitions: int) -> bool:
+        return self.ended or self._limiter.may_insert(transitions)
+
+
+class _Every:
+    """Runs something once a period, first after one period."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._due = time.monotonic() + period_s
+
+    def run(self, action: Callable[[], None]) -> None:
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + self._period_s
+            action()
+
+
+class _Rates:
+    """Transitions and updates per second between the last two reports."""
+
+    def __init__(self) -> None:
+        self._at = time.monotonic()
+        self._before: tuple[int, int] | None = None
+        self.transitions_per_s = self.updates_per_s = 0.0
+
+    def mark(self, transitions: int, updates: int) -> None:
+        now = time.monotonic()
+        if self._before is not None and now > self._at:
+            self.transitions_per_s = (transitions - self._before[0]) / (now - self._at)
+            self.updates_per_s = (updates - self._before[1]) / (now - self._at)
+        self._at, self._before = now, (transitions, updates)

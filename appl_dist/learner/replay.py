@@ -1,0 +1,380 @@
+"""Replay memory: rollouts as runs in one ring, each observation once; n-step batches out.
+
+A rollout of n transitions takes n + 1 consecutive rows, the last holding only the final observation. The
+scan is fixed point of [-1, 1] (uint8: error at most 1/255, 3.9 mm of range, which moved the actions of a
+729-512-512-512-8 network by at most 0.005); the rest is float32. A row is 796 bytes, so 5 million
+transitions take 4.1 GB. Rows are memory-mapped (`folder`) or plain memory (`folder` None).
+
+Durable against kill -9 at any instruction: evict (one counter), rows, index entry, then one aligned 8-byte
+store of the rollout count commits. What is not counted was never there; what was acknowledged is. The
+expected sequence number of every actor comes from the index, and from a floor kept per actor for rollouts
+the ring has overwritten.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appl_dist.errors import UserError
+from appl_dist.learner.storage import FolderClaim, MappedArray
+from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, FloatArray, Rollout
+
+FORMAT = 1
+MAX_ACTORS = 1 << 16
+MAX_ROLLOUT = (1 << 16) - 1  # `left` is uint16
+_ACTOR_ID_BYTES = 64
+_FILES = ("rows.bin", "index.bin", "actors.bin", "header.bin")
+
+_HEADER = np.dtype([("inserted", "<i8"), ("evicted", "<i8"), ("actors", "<i8")])
+_ENTRY = np.dtype(
+    [
+        ("seq", "<i8"),
+        ("start", "<i8"),  # virtual row: grows for ever, row in the file = start % rows
+        ("total", "<i8"),  # transitions ever inserted, this rollout's included
+        ("length", "<u4"),  # transitions; length + 1 rows
+        ("actor", "<u4"),
+    ]
+)
+_ACTOR = np.dtype([("id", f"S{_ACTOR_ID_BYTES}"), ("floor", "<i8")])  # floor: sequence numbers below are evicted
+
+
+@dataclass(frozen=True)
+class Batch:
+    """b transitions ready for a TD update; everything float32.
+
+    observations, next_observations (b, obs); actions (b, act); returns (b,) the n-step reward sum
+    sum_i gamma^i r_i; discounts (b,) what multiplies the value of next_observations: gamma^k for the k <= n
+    steps summed, 0 where the episode ended for good.
+    """
+
+    observations: FloatArray
+    actions: FloatArray
+    returns: FloatArray
+    discounts: FloatArray
+    next_observations: FloatArray
+
+
+class Replay:
+    """A ring of rollouts holding at most `capacity` transitions (fewer if rollouts average under 16 each).
+
+    One thread may insert while another samples. UserError if `folder` holds a replay of another shape, is
+    in use, or its disk is full.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path | None,
+        capacity: int,
+        n_step: int,
+        gamma: float,
+        *,
+        observation_size: int = OBSERVATION_SIZE,
+        scan_size: int = LIDAR_BEAMS,
+        action_size: int = 8,
+        scan_dtype: str = "uint8",
+    ) -> None:
+        if capacity < 1:
+            raise ValueError(f"capacity: got {capacity} transitions; at least 1")
+        if n_step < 1:
+            raise ValueError(f"n_step: got {n_step}; at least 1")
+        if not 0.0 <= gamma <= 1.0:
+            raise ValueError(f"gamma: got {gamma}; allowed 0..1")
+        if scan_dtype not in ("uint8", "uint16"):
+            raise ValueError(f"scan_dtype: got {scan_dtype!r}; allowed uint8, uint16")
+        self.capacity, self.n_step, self.gamma = capacity, n_step, gamma
+        self._scan_size, self._scan_dtype = scan_size, np.dtype(scan_dtype)
+        self._levels = float(np.iinfo(self._scan_dtype).max)
+        self._shape = (observation_size, action_size)
+        self._row = np.dtype(
+            [
+                ("scan", scan_dtype, (scan_size,)),
+                ("other", "<f4", (observation_size - scan_size,)),
+                ("action", "<f4", (action_size,)),
+                ("reward", "<f4"),
+                (
+                    "left",
+                    "<u2",
+                ),  # transitions from here to the rollout's end; 0: its last observation, or a gap
+                ("terminal", "u1"),  # the rollout's, on every row
+            ],
+            align=True,
+        )
+        self._rows_count = capacity + capacity // 16 + 1
+        self.folder = None if folder is None else Path(folder)
+        self._claim = None if self.folder is None else FolderClaim(self.folder, self._meta(), _FILES)
+        self._rows = self._array("rows.bin", self._row, self._rows_count)
+        self._index = self._array("index.bin", _ENTRY, self._rows_count // 2 + 1)  # a rollout has >= 2 rows
+        self._actors = self._array("actors.bin", _ACTOR, MAX_ACTORS)
+        self._header = self._array("header.bin", _HEADER, 1)
+        self._header.claim(0, 1)
+        self._head = self._tail = self._total = self._stored = 0  # virtual rows; transitions
+        self._slots: dict[str, int] = {}  # actor id -> record in actors.bin
+        self._expected: dict[str, int] = {}
+        self._write_lock = threading.Lock()  # one insert at a time
+        self._lock = threading.Lock()  # what sampling reads is still, held for the copy only
+        self._recover()
+        if self._claim is not None:
+            self._claim.complete()
+
+    # ---- what is in it
+
+    def __len__(self) -> int:
+        """Transitions that can be sampled."""
+        return self._stored
+
+    @property
+    def transitions_total(self) -> int:
+        """Transitions ever inserted: the clock of schedules and of the samples-per-insert limiter."""
+        return self._total
+
+    @property
+    def rollouts_total(self) -> int:
+        """Rollouts ever inserted."""
+        return int(self._header.data["inserted"][0])
+
+    @property
+    def scan_error(self) -> float:
+        """Largest error of a stored scan entry, in observation units (1 unit = 1 m of range)."""
+        return 1.0 / self._levels
+
+    def expected_seq(self, actor_id: str) -> int:
+        """The sequence number `insert` takes next from this actor; 0 for one never seen."""
+        return self._expected.get(actor_id, 0)
+
+    def ledger(self) -> dict[str, int]:
+        """Every actor's expected sequence number, for a checkpoint."""
+        return dict(self._expected)
+
+    def resume(self, ledger: Mapping[str, int], transitions_total: int) -> None:
+        """Take up the counts of an earlier replay whose rows are gone (it was in memory).
+
+        ValueError if rollouts were already inserted: then the index knows better.
+        """
+        if self.rollouts_total:
+            raise ValueError(f"resume: replay already holds {self.rollouts_total} rollouts")
+        for actor_id, expected in ledger.items():
+            self._actors.data["floor"][self._actor_slot(actor_id)] = expected
+            self._expected[actor_id] = expected
+        self._total = transitions_total
+
+    # ---- in
+
+    def insert(self, rollout: Rollout, actor_id: str, seq: int) -> bool:
+        """Store a rollout; on return it survives kill -9. False: a repeat, already stored.
+
+        ValueError: a rollout that cannot be, or a gap in the sequence. UserError: no room on disk; nothing
+        changed, so the same call can be repeated.
+        """
+        with self._write_lock:
+            expected = self.expected_seq(actor_id)
+            if seq < expected:
+                return False
+            if seq > expected:
+                raise ValueError(f"actor {actor_id!r}: got rollout {seq}; expected {expected}")
+            rows = self._pack(rollout)
+            slot = self._actor_slot(actor_id)
+            self._append(rows, slot, seq)
+            self._expected[actor_id] = seq + 1
+            return True
+
+    def _pack(self, rollout: Rollout) -> NDArray[Any]:
+        """(n + 1,) rows of a rollout, checked against this replay's layout."""
+        n, (obs_size, action_size) = len(rollout), self._shape
+        if not 1 <= n <= min(MAX_ROLLOUT, self.capacity):
+            raise ValueError(f"rollout: got {n} transitions; allowed 1..{min(MAX_ROLLOUT, self.capacity)}")
+        for name, shape in (
+            ("observations", (n + 1, obs_size)),
+            ("actions", (n, action_size)),
+            ("rewards", (n,)),
+        ):
+            array = getattr(rollout, name)
+            if array.shape != shape:
+                raise ValueError(f"{name}: got shape {array.shape}; expected {shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name}: holds a value that is not finite")
+        scan = rollout.observations[:, : self._scan_size]
+        for name, array in (("scan", scan), ("actions", rollout.actions)):
+            worst = float(np.abs(array).max(initial=0.0))
+            if worst > 1.0:
+                raise ValueError(f"{name}: got {worst:g}; allowed -1..1 (store what was executed, clipped)")
+        rows = np.zeros(n + 1, self._row)
+        # Adding a half and truncating rounds to nearest; the product is never negative.
+        rows["scan"] = (scan * (self._levels / 2) + (self._levels / 2 + 0.5)).astype(self._scan_dtype)
+        rows["other"] = rollout.observations[:, self._scan_size :]
+        rows["action"][:n] = rollout.actions
+        rows["reward"][:n] = rollout.rewards
+        rows["left"] = np.arange(n, -1, -1)
+        rows["terminal"] = rollout.terminal
+        return rows
+
+    def _actor_slot(self, actor_id: str) -> int:
+        slot = self._slots.get(actor_id)
+        if slot is not None:
+            return slot
+        name = actor_id.encode()
+        if not 1 <= len(name) <= _ACTOR_ID_BYTES or b"\0" in name:
+            raise ValueError(f"actor id {actor_id!r}: got {len(name)} bytes; allowed 1..{_ACTOR_ID_BYTES}, no NUL")
+        slot = len(self._slots)
+        if slot == MAX_ACTORS:
+            raise UserError(f"replay: {MAX_ACTORS} actor ids seen; actors must keep their id when they restart")
+        self._actors.claim(slot, slot + 1)
+        self._actors.data[slot] = (name, 0)
+        self._header.data["actors"][0] = slot + 1
+        self._slots[actor_id] = slot
+        return slot
+
+    def _append(self, rows: NDArray[Any], slot: int, seq: int) -> None:
+        n, ring = len(rows) - 1, self._rows_count
+        start = self._head
+        gap = ring - start % ring if start % ring + len(rows) > ring else 0  # a rollout never wraps
+        begin = (start + gap) % ring
+        self._rows.claim(begin, begin + len(rows))
+        if gap:
+            self._rows.claim(ring - gap, ring)
+        entry = self.rollouts_total % len(self._index.data)
+        self._index.claim(entry, entry + 1)
+        with self._lock:
+            self._evict(start + gap + len(rows) - ring, self._stored + n - self.capacity)
+            if gap:
+                self._rows.data["left"][ring - gap :] = 0
+            self._rows.data[begin : begin + len(rows)] = rows
+            self._index.data[entry] = (seq, start + gap, self._total + n, n, slot)
+            self._header.data["inserted"][0] = self.rollouts_total + 1  # the commit
+            self._head = start + gap + len(rows)
+            self._tail = self._start_of(int(self._header.data["evicted"][0]))
+            self._total += n
+            self._stored += n
+
+    def _evict(self, first_row: int, surplus: int) -> None:
+        """Drop the oldest rollouts: those that start before virtual row `first_row`, then `surplus` more."""
+        inserted, evicted = self.rollouts_total, int(self._header.data["evicted"][0])
+        while evicted < inserted and (self._tail < first_row or surplus > 0):
+            old = self._index.data[evicted % len(self._index.data)]
+            self._actors.data["floor"][old["actor"]] = old["seq"] + 1  # before the index can forget it
+            evicted += 1
+            self._header.data["evicted"][0] = evicted
+            self._stored -= int(old["length"])
+            surplus -= int(old["length"])
+            self._tail = self._start_of(evicted) if evicted < inserted else self._head
+
+    def _start_of(self, number: int) -> int:
+        return int(self._index.data["start"][number % len(self._index.data)])
+
+    # ---- out
+
+    def sample(self, batch: int, rng: np.random.Generator) -> Batch:
+        """`batch` transitions drawn uniformly with replacement; IndexError if there are none."""
+        if batch < 1:
+            raise ValueError(f"batch: got {batch}; at least 1")
+        steps = np.arange(self.n_step)
+        with self._lock:
+            if not self._stored:
+                raise IndexError("replay is empty")
+            first = self._draw(batch, rng)
+            data = self._rows.data
+            now = data.take(first)
+            left = now["left"].astype(np.int64)  # (b,)
+            taken = np.minimum(left, self.n_step)  # (b,) k
+            if self.n_step == 1:
+                rewards = now["reward"][:, None]
+            else:  # past the end: the last reward again, times 0 below
+                rewards = data["reward"][first[:, None] + np.minimum(steps, taken[:, None] - 1)]
+            then = data.take(first + taken)
+        weights = np.where(steps < taken[:, None], self.gamma**steps, 0.0)  # (b, n)
+        ended = (now["terminal"] != 0) & (taken == left)
+        return Batch(
+            observations=self._unpack(now),
+            actions=np.ascontiguousarray(now["action"]),
+            returns=(rewards * weights).sum(1).astype(np.float32),
+            discounts=np.where(ended, 0.0, self.gamma**taken).astype(np.float32),
+            next_observations=self._unpack(then),
+        )
+
+    def _draw(self, batch: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """(b,) rows, uniform over stored transitions: uniform over live rows, last observations rejected."""
+        live = self._head - self._tail
+        left = self._rows.data["left"]
+        kept = np.empty(0, np.int64)
+        while len(kept) < batch:
+            # Two percent over the mean need: a second round is rare, and harmless.
+            size = math.ceil((batch - len(kept)) * live / self._stored * 1.02) + 8
+            rows = (self._tail + rng.integers(live, size=size)) % self._rows_count
+            kept = np.concatenate((kept, rows[left[rows] > 0]))
+        return kept[:batch]
+
+    def _unpack(self, rows: NDArray[Any]) -> FloatArray:
+        observations: FloatArray = np.empty((len(rows), self._shape[0]), np.float32)
+        scan = observations[:, : self._scan_size]
+        np.multiply(rows["scan"], np.float32(2.0 / self._levels), out=scan, dtype=np.float32)
+        scan -= 1.0
+        observations[:, self._scan_size :] = rows["other"]
+        return observations
+
+    # ---- the folder
+
+    def flush(self) -> None:
+        """Wait until everything stored so far would survive a power cut; call it beside a checkpoint."""
+        for array in (self._rows, self._index, self._actors, self._header):
+            array.sync()
+
+    def close(self) -> None:
+        """Let go of the folder; another process may open it. Nothing can be inserted or sampled after."""
+        with self._write_lock, self._lock:
+            for array in (self._rows, self._index, self._actors, self._header):
+                array.close()
+            self._stored = 0
+            if self._claim is not None:
+                self._claim.release()
+
+    def __enter__(self) -> Replay:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _array(self, name: str, dtype: np.dtype[Any], length: int) -> MappedArray:
+        return MappedArray(None if self.folder is None else self.folder / name, dtype, length)
+
+    def _meta(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "capacity": self.capacity,
+            "observation_size": self._shape[0],
+            "scan_size": self._scan_size,
+            "scan_dtype": self._scan_dtype.name,
+            "action_size": self._shape[1],
+        }
+
+    def _recover(self) -> None:
+        """Take up what the files hold: counters, positions and each actor's expected sequence number."""
+        inserted, evicted, actors = (int(v) for v in self._header.data[0])
+        slots = len(self._index.data)
+        if not (0 <= evicted <= inserted and inserted - evicted <= slots and 0 <= actors <= MAX_ACTORS):
+            raise UserError(f"replay folder {self.folder}: its header is damaged; choose an empty folder")
+        live = self._index.data[np.arange(evicted, inserted) % slots]
+        ends = live["start"] + live["length"] + 1
+        if inserted:
+            last = self._index.data[(inserted - 1) % slots]
+            self._head = int(last["start"]) + int(last["length"]) + 1
+            self._total = int(last["total"])
+            self._tail = int(live["start"][0]) if len(live) else self._head
+        if (
+            (live["actor"] >= actors).any()
+            or (live["start"][1:] < ends[:-1]).any()
+            or self._head - self._tail > self._rows_count
+        ):
+            raise UserError(f"replay folder {self.folder}: its index is damaged; choose an empty folder")
+        self._stored = int(live["length"].sum())
+        floors = self._actors.data["floor"][:actors].copy()
+        np.maximum.at(floors, live["actor"], live["seq"] + 1)
+        names = [name.decode() for name in self._actors.data["id"][:actors].tolist()]
+        self._slots = {name: slot for slot, name in enumerate(names)}
+        self._expected = dict(zip(names, floors.tolist(), strict=True))

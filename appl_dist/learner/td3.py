@@ -1,0 +1,192 @@
+"""Twin delayed deep deterministic policy gradient (Fujimoto et al., ICML 2018, Alg. 1), as APPLR uses it.
+
+Comes in: batches of n-step transitions from replay. Goes out: the policy's layers, and metrics. One call of
+`update` is one gradient step on both critics and, every `policy_delay` calls, one on the actor followed by
+Polyak averaging of all targets. The settings' defaults are the paper's where it gives them (networks, Sec.
+V-D of the journal) and those of the TD3 paper elsewhere.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from appl_dist.learner.networks import FlatMLP
+from appl_dist.learner.replay import Batch
+from appl_dist.learner.settings import TD3Settings
+from appl_dist.spec import FloatArray
+
+log = logging.getLogger(__name__)
+
+Metrics = dict[str, Tensor]  # 0-d tensors: reading one waits for the device, so read them rarely
+
+
+class Diverged(Exception):
+    """A loss or gradient is no longer finite; the caller says which checkpoint to go back to."""
+
+
+class TD3:
+    """The learner's networks, targets and optimisers. Same seed and batches: bit-equal results."""
+
+    def __init__(self, settings: TD3Settings, obs_size: int, action_size: int, seed: int = 0) -> None:
+        self.settings = settings
+        torch.set_num_threads(settings.threads)
+        self.device = torch.device(settings.device)
+        self.precision = _resolve(settings.precision, self.device)
+        dtype = torch.bfloat16 if self.precision == "bf16" else torch.float32
+        initial = torch.Generator().manual_seed(seed)
+        self.noise = torch.Generator(self.device).manual_seed(seed + 1)  # target smoothing
+        actor_sizes = (obs_size, *settings.hidden, action_size)
+        critic_sizes = (obs_size + action_size, *settings.hidden, 1)
+        self.actor = FlatMLP(actor_sizes, 1, initial, self.device, dtype)
+        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype)
+        self.actor_target = copy.deepcopy(self.actor)
+        self.critic_target = copy.deepcopy(self.critic)
+        # On a GPU a tensor step counter avoids waiting; fused is one pass over memory on either device.
+        self.actor_adam = torch.optim.Adam([self.actor.flat], settings.actor_lr, fused=True)
+        self.critic_adam = torch.optim.Adam([self.critic.flat], settings.critic_lr, fused=True)
+        self.updates = 0
+        log.info("TD3 on %s, %s, %d thread(s)", self.device, self.precision, settings.threads)
+
+    def update(self, batch: Batch, detail: bool = False) -> Metrics:
+        """One training step. `detail` adds norms and action saturation, worth a pass over all parameters."""
+        # Moments of dead units decay into denormals, which are slow; the flag is the calling thread's.
+        torch.set_flush_denormal(True)
+        obs, action, returns, discounts, next_obs = (
+            torch.from_numpy(a).to(self.device)
+            for a in (
+                batch.observations,
+                batch.actions,
+                batch.returns,
+                batch.discounts,
+                batch.next_observations,
+            )
+        )
+        targets = self.targets(returns, discounts, next_obs)  # (b,)
+        done = self.critic.forward(torch.cat((obs, action), 1))
+        error = done.output[..., 0] - targets  # (2, b)
+        self.critic.backward(done, (error * (2.0 / len(targets)))[..., None])
+        self._step(self.critic, self.critic_adam)
+        self.updates += 1
+        metrics: Metrics = {
+            "loss/critic": error.square().mean(1).sum(),  # the sum of both networks' mean squared errors
+            "q/mean": done.output.mean(),
+            "q/std": done.output[0].std(correction=0),
+            "q/target_mean": targets.mean(),
+            "q/td_error": error.abs().mean(),
+        }
+        if self.updates % self.settings.policy_delay == 0:
+            metrics["loss/actor"] = self._improve_policy(obs)
+            self._average_targets()
+        if detail:
+            metrics |= self._detail(obs)
+        return metrics
+
+    def _improve_policy(self, obs: Tensor) -> Tensor:
+        """One step up the first critic's value of the actor's own actions, TD3 paper eq. 6; its loss."""
+        done = self.actor.forward(obs)
+        chosen = done.output[0].tanh()  # (b, act)
+        value = self.critic.forward(torch.cat((obs, chosen), 1), heads=1)
+        down = torch.full_like(value.output, -1.0 / len(obs))  # the loss is -mean Q
+        by_action = self.critic.input_gradient(value, down, chosen.shape[1])
+        self.actor.backward(done, (by_action * (1.0 - chosen.square()))[None])
+        self._step(self.actor, self.actor_adam)
+        return -value.output.mean()
+
+    def targets(self, returns: Tensor, discounts: Tensor, next_obs: Tensor) -> Tensor:
+        """(b,) y = R_n + gamma^k min_i Q'_i(s', clip(pi'(s') + clip(noise))), TD3 paper eq. 14."""
+        s = self.settings
+        action = self.actor_target.forward(next_obs).output[0].tanh()
+        noise = torch.randn(action.shape, generator=self.noise, device=self.device) * s.target_noise
+        noise.clamp_(-s.target_noise_clip, s.target_noise_clip)
+        action = (action + noise).clamp_(-1.0, 1.0)
+        q = self.critic_target.forward(torch.cat((next_obs, action), 1)).output[..., 0]
+        return returns + discounts * q.amin(0)
+
+    @staticmethod
+    def _step(net: FlatMLP, adam: torch.optim.Adam) -> None:
+        adam.step()
+        net.refresh()
+
+    def _average_targets(self) -> None:
+        for target, net in ((self.actor_target, self.actor), (self.critic_target, self.critic)):
+            target.flat.lerp_(net.flat, self.settings.polyak)
+            target.refresh()
+
+    def _detail(self, obs: Tensor) -> Metrics:
+        saturated = (self.actor.forward(obs).output[0].tanh().abs() > 0.99).float().mean(0)  # (act,)
+        return {
+            "norm/actor": self.actor.flat.norm(),
+            "norm/critic": self.critic.flat.norm(),
+            "norm/actor_gradient": self.actor.grad.norm(),
+            "norm/critic_gradient": self.critic.grad.norm(),
+            **{f"saturation/{i}": share for i, share in enumerate(saturated)},
+        }
+
+    # ---- out, and back in
+
+    def policy_arrays(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """Copies of the actor's weights (out, in) and biases (out,), float32, as PolicyFile wants them."""
+        weights = tuple(w[0].t().contiguous().cpu().numpy() for w, _ in self.actor.master)
+        biases = tuple(b[0, 0].clone().cpu().numpy() for _, b in self.actor.master)
+        return weights, biases
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Every tensor and plain number that `update` depends on. The tensors are the live ones: copy them."""
+        tensors = {
+            f"{name}.flat": getattr(self, name).flat for name in ("actor", "critic", "actor_target", "critic_target")
+        }
+        for name, adam, net in self._optimisers():
+            for key in ("exp_avg", "exp_avg_sq", "step"):
+                empty = torch.zeros(()) if key == "step" else torch.zeros_like(net.flat)
+                tensors[f"{name}.{key}"] = adam.state[net.flat].get(key, empty)
+        tensors["noise"] = self.noise.get_state()
+        return tensors, {"updates": self.updates, "sizes": [self.actor.sizes, self.critic.sizes]}
+
+    def load_state(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
+        """Continue from what `state` gave; ValueError if the networks differ."""
+        sizes = [list(self.actor.sizes), list(self.critic.sizes)]
+        found = [list(s) for s in numbers["sizes"]]
+        if found != sizes:
+            raise ValueError(f"networks: the state has layers {found}; the settings ask for {sizes}")
+        for name in ("actor", "critic", "actor_target", "critic_target"):
+            net: FlatMLP = getattr(self, name)
+            net.flat.copy_(tensors[f"{name}.flat"])
+            net.refresh()
+        for name, adam, net in self._optimisers():
+            adam.state[net.flat] = {
+                key: tensors[f"{name}.{key}"].to(self.device, copy=True) for key in ("step", "exp_avg", "exp_avg_sq")
+            }
+        self.noise.set_state(tensors["noise"].cpu())
+        self.updates = int(numbers["updates"])
+
+    def _optimisers(self) -> tuple[tuple[str, torch.optim.Adam, FlatMLP], ...]:
+        return (
+            ("actor_adam", self.actor_adam, self.actor),
+            ("critic_adam", self.critic_adam, self.critic),
+        )
+
+
+def read(metrics: Metrics) -> dict[str, float]:
+    """The metrics as numbers. Diverged names the first that is not finite."""
+    numbers = {name: float(value) for name, value in metrics.items()}
+    for name, value in numbers.items():
+        if not math.isfinite(value):
+            raise Diverged(f"{name} is {value}")
+    return numbers
+
+
+def _resolve(precision: str, device: torch.device) -> str:
+    """`auto` as bf16 where the hardware multiplies it natively, else fp32."""
+    if precision != "auto":
+        return precision
+    if device.type == "cuda":
+        return "bf16" if torch.cuda.is_bf16_supported(including_emulation=False) else "fp32"
+    # Without AMX or AVX512-BF16 bfloat16 is emulated and slower than float32.
+    native = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
+    return "bf16" if native else "fp32"

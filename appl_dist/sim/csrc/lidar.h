@@ -1,0 +1,23 @@
+/* A planar lidar among upright cylinders. */
+#ifndef APPL_SIM_LIDAR_H
+#define APPL_SIM_LIDAR_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+typedef struct {
+    size_t beams;
+    double angle_min, increment; /* beam i points along angle_min + i * increment, robot frame */
+    double range_min, range_max;
+    double noise_sd;
+} lidar_spec;
+
+/* cos and sin of every beam angle, (beams,) each. */
+void lidar_directions(const lidar_spec *spec, double *cosines, double *sines);
+
+/* Cast one scan from the lidar's own pose (x, y, yaw) into `ranges` (beams,) float32 metres; INFINITY = no return.
+ * cylinders (n, 3) x, y, radius. Noise depends on (seed, stamp, beam) alone. */
+void lidar_cast(const lidar_spec *spec, const double *cosines, const double *sines, const double pose[3],
+                const double *cylinders, size_t n, uint64_t seed, uint64_t stamp, float *ranges);
+
+#endif

@@ -1,0 +1,188 @@
+/* Traction of a skid-steered robot on flat ground.
+ *
+ * The wheels are ideal velocity motors (no effort limit in the URDF): after the acceleration limits of
+ * diff_drive_controller they turn exactly as commanded, and all lag and slip is tyre friction. Each wheel touches the
+ * ground at the two edges of its tread. Every 1 ms the friction impulses are found that bring the contact points to
+ * rest against the turning treads, each bounded by +-mu N dt along the two WORLD axes: without a usable fdir1, ODE
+ * builds its friction pyramid from the contact normal alone. Hence the robot turns faster along the world axes than
+ * across them. Projected Gauss-Seidel, as in ODE's quickstep, started from the last step's impulses.
+ * Normal forces are those of a rigid robot in quasi-static balance, so braking and turning shift them. */
+#include "tyres.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "geometry.h"
+
+#define STEP_S 0.001
+#define GRAVITY 9.8
+#define MAX_SWEEPS 50
+#define TOLERANCE 1e-7 /* m/s: largest velocity change of a sweep at which the solution counts as found */
+#define ODOMETRY_MS 20
+#define IDEAL_MS 10
+
+static double clamp(double value, double low, double high) {
+    return value < low ? low : value > high ? high : value;
+}
+
+void vehicle_reset(const vehicle_spec *spec, vehicle_state *state, const double pose[3], uint64_t seed) {
+    memset(state, 0, sizeof *state);
+    state->x = state->odom_x = pose[0];
+    state->y = state->odom_y = pose[1];
+    state->yaw = pose[2];
+    state->seed = seed;
+    state->command_age_ms = spec->timeout_ms; /* nothing received yet */
+}
+
+void vehicle_command(vehicle_state *state, double v, double w, int64_t age_ms) {
+    state->command_v = v;
+    state->command_w = w;
+    state->command_age_ms = age_ms;
+}
+
+/* One update of diff_drive_controller: time-out, then velocity and acceleration limits. */
+static void turn_wheels(const vehicle_spec *spec, vehicle_state *state, double dt) {
+    const int stale = state->command_age_ms >= spec->timeout_ms;
+    const double v = stale ? 0.0 : clamp(state->command_v, -spec->max_v, spec->max_v);
+    const double w = stale ? 0.0 : clamp(state->command_w, -spec->max_w, spec->max_w);
+    const double dv = spec->max_accel * dt, dw = spec->max_alpha * dt;
+    state->wheel_v = clamp(v, state->wheel_v - dv, state->wheel_v + dv);
+    state->wheel_w = clamp(w, state->wheel_w - dw, state->wheel_w + dw);
+}
+
+/* Largest friction impulse of each contact, mu N dt. Contacts lie symmetrically about base_link, so the least-norm
+ * loads N = a + b x + c y that balance weight and tyre force have a closed form. */
+static void load_contacts(const vehicle_spec *spec, const vehicle_state *state, double c, double s,
+                          const double (*contact)[2], double *limit) {
+    const double weight = spec->mass * GRAVITY;
+    const double forward = c * state->force_x + s * state->force_y;
+    const double left = c * state->force_y - s * state->force_x;
+    double xx = 0.0, yy = 0.0;
+    for (int i = 0; i < CONTACTS; ++i) {
+        xx += contact[i][0] * contact[i][0];
+        yy += contact[i][1] * contact[i][1];
+    }
+    const double b = (spec->com_x * weight - spec->com_z * forward) / xx;
+    const double d = (spec->com_y * weight - spec->com_z * left) / yy;
+    for (int i = 0; i < CONTACTS; ++i) {
+        const double load = weight / CONTACTS + b * contact[i][0] + d * contact[i][1];
+        limit[i] = load > 0.0 ? spec->friction * load * STEP_S : 0.0;
+    }
+}
+
+static void solve_friction(const vehicle_spec *spec, vehicle_state *state) {
+    const double c = cos(state->yaw), s = sin(state->yaw);
+    const double inverse_mass = 1.0 / spec->mass, inverse_inertia = 1.0 / spec->inertia_z;
+    double contact[CONTACTS][2], arm[CONTACTS][2], target[CONTACTS][2], scale[CONTACTS][2], limit[CONTACTS];
+    for (int i = 0; i < CONTACTS; ++i) {
+        const double side = i & 1 ? 1.0 : -1.0;
+        contact[i][0] = i & 2 ? spec->wheel_x : -spec->wheel_x;
+        contact[i][1] = side * spec->wheel_y + (i & 4 ? spec->wheel_half_width : -spec->wheel_half_width);
+        const double px = contact[i][0] - spec->com_x, py = contact[i][1] - spec->com_y;
+        const double tread = state->wheel_v - side * state->wheel_w * 0.5 * spec->separation;
+        arm[i][0] = c * px - s * py;
+        arm[i][1] = s * px + c * py;
+        target[i][0] = tread * c;
+        target[i][1] = tread * s;
+        scale[i][0] = 1.0 / (inverse_mass + arm[i][1] * arm[i][1] * inverse_inertia);
+        scale[i][1] = 1.0 / (inverse_mass + arm[i][0] * arm[i][0] * inverse_inertia);
+    }
+    load_contacts(spec, state, c, s, (const double(*)[2])contact, limit);
+
+    double vx = state->vx, vy = state->vy, w = state->w;
+    for (int i = 0; i < CONTACTS; ++i) {
+        double *impulse = state->impulse[i];
+        impulse[0] = clamp(impulse[0], -limit[i], limit[i]);
+        impulse[1] = clamp(impulse[1], -limit[i], limit[i]);
+        vx += impulse[0] * inverse_mass;
+        vy += impulse[1] * inverse_mass;
+        w += (arm[i][0] * impulse[1] - arm[i][1] * impulse[0]) * inverse_inertia;
+    }
+    for (int sweep = 0; sweep < MAX_SWEEPS; ++sweep) {
+        double change = 0.0;
+        for (int i = 0; i < CONTACTS; ++i) {
+            double *impulse = state->impulse[i];
+            const double slip_x = target[i][0] - (vx - w * arm[i][1]);
+            const double x = clamp(impulse[0] + slip_x * scale[i][0], -limit[i], limit[i]);
+            const double dx = x - impulse[0];
+            impulse[0] = x;
+            vx += dx * inverse_mass;
+            w -= dx * arm[i][1] * inverse_inertia;
+            const double slip_y = target[i][1] - (vy + w * arm[i][0]);
+            const double y = clamp(impulse[1] + slip_y * scale[i][1], -limit[i], limit[i]);
+            const double dy = y - impulse[1];
+            impulse[1] = y;
+            vy += dy * inverse_mass;
+            w += dy * arm[i][0] * inverse_inertia;
+            const double largest = fmax(fabs(dx), fabs(dy)) * inverse_mass;
+            if (largest > change) change = largest;
+        }
+        if (change < TOLERANCE) break;
+    }
+    state->force_x = spec->mass * (vx - state->vx) / STEP_S;
+    state->force_y = spec->mass * (vy - state->vy) / STEP_S;
+    state->vx = vx;
+    state->vy = vy;
+    state->w = w;
+}
+
+static void move(const vehicle_spec *spec, vehicle_state *state) {
+    /* Semi-implicit: the centre of mass moves along the new velocity, base_link follows rigidly. */
+    const double c0 = cos(state->yaw), s0 = sin(state->yaw);
+    state->yaw += state->w * STEP_S;
+    const double c1 = cos(state->yaw), s1 = sin(state->yaw);
+    const double dx = state->vx * STEP_S + (c0 - c1) * spec->com_x - (s0 - s1) * spec->com_y;
+    const double dy = state->vy * STEP_S + (s0 - s1) * spec->com_x + (c0 - c1) * spec->com_y;
+    state->x += dx;
+    state->y += dy;
+    state->distance += sqrt(dx * dx + dy * dy);
+    state->odom_x += state->wheel_v * c1 * STEP_S;
+    state->odom_y += state->wheel_v * s1 * STEP_S;
+}
+
+/* robot_localization's published twist in its steady state: wheel speed half trusted, IMU yaw rate almost fully. */
+static void filter_odometry(const vehicle_spec *spec, vehicle_state *state) {
+    const double noise = spec->odom_noise_w * counter_normal(state->seed, (uint64_t)state->time_ms, UINT64_C(1) << 32);
+    state->odom_v += spec->odom_gain_v * (state->wheel_v - state->odom_v);
+    state->odom_w += spec->odom_gain_w * (state->w + noise - state->odom_w);
+}
+
+/* The drive of the recorded closed-loop vectors: acceleration limits, then up to 10 ms along the midpoint heading. */
+static void ideal_step(const vehicle_spec *spec, vehicle_state *state, int ms) {
+    const double dt = STEP_S * ms;
+    turn_wheels(spec, state, dt);
+    const double v = state->wheel_v, w = state->wheel_w, heading = state->yaw + 0.5 * w * dt;
+    state->x += v * cos(heading) * dt;
+    state->y += v * sin(heading) * dt;
+    state->yaw += w * dt;
+    state->odom_x = state->x;
+    state->odom_y = state->y;
+    state->odom_v = v;
+    state->odom_w = state->w = w;
+    state->distance += fabs(v) * dt;
+    state->vx = v * cos(state->yaw) - w * (spec->com_x * sin(state->yaw) + spec->com_y * cos(state->yaw));
+    state->vy = v * sin(state->yaw) + w * (spec->com_x * cos(state->yaw) - spec->com_y * sin(state->yaw));
+}
+
+void vehicle_advance(const vehicle_spec *spec, vehicle_state *state, int ms) {
+    while (ms > 0) {
+        const int step = spec->ideal ? (ms < IDEAL_MS ? ms : IDEAL_MS) : 1;
+        if (spec->ideal) {
+            ideal_step(spec, state, step);
+        } else {
+            turn_wheels(spec, state, STEP_S);
+            solve_friction(spec, state);
+            move(spec, state);
+        }
+        state->time_ms += step;
+        state->command_age_ms += step;
+        if (!spec->ideal && state->time_ms % ODOMETRY_MS == 0) filter_odometry(spec, state);
+        ms -= step;
+    }
+}
+
+void vehicle_body_velocity(const vehicle_spec *spec, const vehicle_state *state, double *forward, double *left) {
+    const double c = cos(state->yaw), s = sin(state->yaw);
+    *forward = c * state->vx + s * state->vy + state->w * spec->com_y;
+    *left = c * state->vy - s * state->vx - state->w * spec->com_x;
+}

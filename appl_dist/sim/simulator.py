@@ -1,0 +1,202 @@
+"""One Jackal in one BARN world: command in; pose, odometry, scan and contact out.
+
+Free motion is csrc/tyres.c in steps of 1 ms. pybullet is stepped along with it, every 40 ms in the open and every
+4 ms where the robot could touch something; contacts found there change pose and velocity, and the tyre model goes
+on from them.
+Frames: world = odom at reset; poses are x, y, yaw of base_link with a yaw that is not wrapped.
+"""
+
+from __future__ import annotations
+
+import math
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _native
+from .bullet import FLAT_RAD, BulletBody
+from .robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
+from .worlds import Floats, World
+
+OPEN_MS = 40  # pybullet step where no obstacle is in reach
+CONTACT_MS = 4  # and where one is: 8 mm at full speed
+NEAR_M = 0.02  # bullet's contacts begin to act at this distance
+ROLLED_OVER_RAD = 1.0
+CLEARANCE_LIMIT_M = 100.0
+
+_ROBOT = RobotSettings()
+_LIDAR = LidarSettings()
+
+
+class Simulator:
+    """A robot, its lidar and its world; several may live in one process.
+
+    Deterministic: the same world, seed, pose and commands give the same bits, whatever was simulated before.
+    """
+
+    def __init__(self, robot: RobotSettings = _ROBOT, lidar: LidarSettings = _LIDAR) -> None:
+        self.robot, self.lidar = robot, lidar
+        self._vehicle = _native.Vehicle(robot.native())
+        self._caster = lidar.native()
+        self._half_separation = 0.5 * robot.native().separation
+        self._body = None if robot.drive == "ideal" else BulletBody()
+        self._cylinders = np.empty((0, 3))
+        self._seed = 0
+        self._ready = False
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the pybullet client."""
+        self._ready = False
+        if self._body is not None:
+            self._body.close()
+
+    def reset(self, world: World, seed: int, pose: NDArray) -> None:
+        """Put the robot at rest at `pose` (3,) x, y, yaw in `world`; time and odometry start anew.
+
+        Raises ValueError if the pose is not three finite numbers, or lies in an obstacle.
+        """
+        start = np.array(pose, np.float64)
+        if start.shape != (3,) or not np.isfinite(start).all():
+            raise ValueError(f"pose: got {pose!r}; expected three finite numbers x, y, yaw")
+        if not 0 <= seed < 1 << 64:
+            raise ValueError(f"seed: got {seed}; allowed 0..2^64-1")
+        self._seed = seed
+        self._cylinders = np.array(world.cylinders, np.float64, order="C")
+        self._vehicle.reset(start, seed, self._cylinders)
+        if self.clearance_m < 0.0:
+            raise ValueError(f"pose: ({start[0]:g}, {start[1]:g}) lies in an obstacle of {world.name}")
+        if self._body is not None:
+            self._body.rebuild(self._cylinders, self._vehicle.pose)
+        self._synced = self._vehicle.pose
+        self._pending_ms = 0
+        self._held = False  # pybullet, not the tyre model, has the last word on where the robot is
+        self._ready = True
+        self.collided = False  # since reset
+        self.in_collision = False  # now
+        self.rolled_over = False  # since reset
+
+    def step(self, command: NDArray | tuple[float, float], dt_s: float, command_age_s: float = 0.0) -> None:
+        """Drive dt_s, a multiple of 1 ms, on the last cmd_vel received: `command` (2,) v m/s, w rad/s.
+
+        command_age_s: how long before this step it was received. Once older than the time-out (0.25 s), also
+        within one long step, the robot brakes.
+        """
+        ms = round(1000.0 * dt_s)
+        if not self._ready:
+            raise RuntimeError("step: no world yet; call reset first")
+        if ms < 1 or abs(1000.0 * dt_s - ms) > 1e-6:
+            raise ValueError(f"dt_s: got {dt_s!r}; allowed multiples of 0.001 s")
+        v, w = float(command[0]), float(command[1])
+        if not (math.isfinite(v) and math.isfinite(w)):
+            raise ValueError(f"command: got ({v}, {w}); both must be finite")
+        vehicle = self._vehicle
+        vehicle.command(v, w, round(1000.0 * command_age_s))
+        while ms > 0:
+            chunk = min(ms, OPEN_MS - self._pending_ms)
+            if not self._held and vehicle.drive_free(chunk, NEAR_M):
+                self._pending_ms += chunk
+                if self._pending_ms == OPEN_MS:
+                    self._carry()
+            else:
+                self._carry()
+                chunk = min(ms, CONTACT_MS)
+                self._contact_step(chunk)
+            ms -= chunk
+
+    def _wheel_rates(self) -> tuple[float, float]:
+        v, w = self._vehicle.wheels
+        turn = w * self._half_separation
+        return (v - turn) / WHEEL_RADIUS_M, (v + turn) / WHEEL_RADIUS_M
+
+    def _carry(self) -> None:
+        """Take the pybullet body along the free motion since the last time."""
+        if not self._pending_ms:
+            return
+        dt_s = 1e-3 * self._pending_ms
+        self._pending_ms = 0
+        before, now = self._synced, self._vehicle.pose
+        self._synced = now
+        if self._body is None:
+            self.in_collision = self.clearance_m <= 0.0
+            self.collided |= self.in_collision
+            return
+        velocity = ((now[0] - before[0]) / dt_s, (now[1] - before[1]) / dt_s, (now[2] - before[2]) / dt_s)
+        self._body.carry(before, velocity, self._wheel_rates(), dt_s)
+
+    def _contact_step(self, ms: int) -> None:
+        """One step where contacts are possible: predict freely, let pybullet resolve, correct."""
+        body, vehicle = self._body, self._vehicle
+        if body is None:  # the ideal drive goes through obstacles; touching one is all that is noted
+            vehicle.drive_free(ms, NEAR_M)
+            self._pending_ms = ms
+            self._carry()
+            return
+        before = vehicle.pose
+        velocity = vehicle.predict(ms)
+        motion = body.step(before, velocity, self._wheel_rates(), 1e-3 * ms)
+        self.in_collision = body.touches()
+        self._held = self.in_collision or body.tilt_rad > FLAT_RAD
+        if self._held:
+            vehicle.correct(*motion)
+        self._synced = vehicle.pose
+        self.collided |= self.in_collision
+        self.rolled_over |= body.tilt_rad > ROLLED_OVER_RAD
+
+    def scan(self) -> NDArray[np.float32]:
+        """(720,) float32 ranges in m at this moment, inf = no return; the noise is that of (seed, time, beam)."""
+        x, y, yaw = self._vehicle.pose
+        mount = self.lidar.mount_x_m
+        pose = np.array((x + mount * math.cos(yaw), y + mount * math.sin(yaw), yaw))
+        ranges = np.empty(self.lidar.beams, np.float32)
+        self._caster.cast(pose, self._cylinders, self._seed, self._vehicle.time_ms, ranges)
+        return ranges
+
+    @property
+    def pose(self) -> Floats:
+        """(3,) true x, y, yaw of base_link, world frame."""
+        return np.array(self._vehicle.pose)
+
+    @property
+    def twist(self) -> Floats:
+        """(2,) true forward speed of base_link and yaw rate."""
+        forward, _, w = self._vehicle.twist
+        return np.array((forward, w))
+
+    @property
+    def side_speed_mps(self) -> float:
+        """True speed of base_link to its left: the drift that wheel odometry does not see."""
+        return float(self._vehicle.twist[1])
+
+    @property
+    def odom_pose(self) -> Floats:
+        """(3,) x, y, yaw by odometry: wheel speed integrated along the true yaw, from the true start."""
+        return np.array(self._vehicle.odom_pose)
+
+    @property
+    def odom_twist(self) -> Floats:
+        """(2,) forward speed and yaw rate as odometry publishes them: filtered, every 20 ms."""
+        return np.array(self._vehicle.odom_twist)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since reset."""
+        return 1e-3 * self._vehicle.time_ms
+
+    @property
+    def distance_m(self) -> float:
+        """True distance driven since reset."""
+        return float(self._vehicle.distance)
+
+    @property
+    def clearance_m(self) -> float:
+        """Distance from the hull (chassis and wheels) to the nearest obstacle, negative inside, at most 100."""
+        return float(self._vehicle.clearance(CLEARANCE_LIMIT_M))

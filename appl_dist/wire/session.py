@@ -1,0 +1,248 @@
+"""The bus over zenoh: the learner is the router and listens, everyone else is a client.
+
+The only module that imports zenoh. No separate router process is needed; scouting is off, so processes meet
+only at the endpoint given. Shared memory is off: queries through it can be dropped in silence under load
+(zenoh issue 2628).
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from appl_dist.errors import UserError
+from appl_dist.wire import keys
+from appl_dist.wire.bus import Handle, Message, Query
+from appl_dist.wire.settings import WireSettings
+
+log = logging.getLogger(__name__)
+
+_MAX_MESSAGE_BYTES = 64 << 20  # refused by the transport itself, before anything of ours sees it
+_MAX_SESSIONS = 4096
+
+
+def open_session(settings: WireSettings, listen: bool) -> Session:
+    """A connected session; UserError when the endpoint is taken (listen) or no learner answers at it."""
+    zenoh.init_log_from_env_or("off")  # refusals reach users as our sentences; RUST_LOG shows zenoh's own
+    config = zenoh.Config.from_json5(json.dumps(_config(settings, listen)))
+    try:
+        return Session(zenoh.open(config))
+    except zenoh.ZError as error:
+        raise UserError(_why(settings, listen, str(error))) from error
+
+
+def _why(settings: WireSettings, listen: bool, error: str) -> str:
+    if listen and "in use" in error:
+        return (
+            f"wire.endpoint: {settings.endpoint} is already in use, perhaps by another learner; "
+            "stop it or choose another port"
+        )
+    if listen:
+        return f"wire.endpoint: cannot listen on {settings.endpoint}: {error.split(' at /', 1)[0]}"
+    return (
+        f"wire.endpoint: no learner answered at {settings.endpoint} within {settings.timeout_s:g} s; either "
+        "no learner runs there, or it refused the credentials (user, password or certificates; the wire does "
+        "not say which)"
+    )
+
+
+def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
+    lease_ms = round(settings.lease_s * 1000)
+    transport: dict[str, Any] = {
+        "shared_memory": {"enabled": False},
+        "unicast": {
+            "accept_pending": _MAX_SESSIONS,  # the default of 100 refuses part of a large fleet's start
+            "max_sessions": _MAX_SESSIONS,
+            "open_timeout": round(settings.timeout_s * 1000),
+            "accept_timeout": round(settings.timeout_s * 1000),
+        },
+        "link": {
+            "rx": {"max_message_size": _MAX_MESSAGE_BYTES},
+            "tx": {
+                "lease": lease_ms,
+                "keep_alive": 4,
+                # How long one stalled receiver may hold up a blocking put, in µs.
+                "queue": {"congestion_control": {"block": {"wait_before_close": lease_ms * 1000}}},
+            },
+        },
+    }
+    if settings.user or settings.users_file:
+        transport["auth"] = {
+            "usrpwd": _drop_empty(
+                user=settings.user,
+                password=settings.password,
+                dictionary_file=settings.users_file if listen else "",
+            )
+        }
+    if settings.endpoint.startswith("tls/"):
+        transport["link"]["tls"] = _drop_empty(
+            root_ca_certificate=settings.tls_ca,
+            listen_certificate=settings.tls_certificate if listen else "",
+            listen_private_key=settings.tls_key if listen else "",
+        )
+    config: dict[str, Any] = {
+        "mode": "router" if listen else "client",
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": transport,
+    }
+    if listen:
+        config["listen"] = {"endpoints": [settings.endpoint], "timeout_ms": 0, "exit_on_failure": True}
+        config["access_control"] = _access_control()
+    else:
+        config["connect"] = {
+            "endpoints": [settings.endpoint],
+            "timeout_ms": round(settings.timeout_s * 1000),
+            "exit_on_failure": True,
+            "retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+        }
+    return config
+
+
+def _access_control() -> dict[str, Any]:
+    """Nobody but the learner may publish weights or state, or answer in its place."""
+    said = {
+        "messages": ["put", "delete", "declare_queryable", "reply"],
+        "key_exprs": list(keys.LEARNER_SERVES),
+    }
+    tokens = {"messages": ["liveliness_token"], "key_exprs": list(keys.LEARNER_TOKENS)}
+    deny = {"permission": "deny", "flows": ["ingress"]}
+    return {
+        "enabled": True,
+        "default_permission": "allow",
+        "rules": [{"id": "said", **deny, **said}, {"id": "tokens", **deny, **tokens}],
+        "subjects": [{"id": "anyone"}],
+        "policies": [{"rules": ["said", "tokens"], "subjects": ["anyone"]}],
+    }
+
+
+def _drop_empty(**values: str) -> dict[str, str]:
+    return {name: value for name, value in values.items() if value}
+
+
+class Session:
+    """A `bus.Bus` over one zenoh session. A client reconnects by itself; its tokens then stand again."""
+
+    def __init__(self, session: Any) -> None:
+        self._session = session
+        self.identity = str(session.zid())
+
+    def put(self, key: str, payload: bytes, attachment: bytes = b"", block: bool = False) -> None:
+        control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
+        try:
+            self._session.put(key, payload, attachment=attachment or None, congestion_control=control)
+        except zenoh.ZError as error:
+            log.debug("put %s: %s", key, error)
+
+    def get(self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0) -> Message | None:
+        try:
+            replies = self._session.get(
+                key,
+                payload=payload,
+                attachment=attachment or None,
+                timeout=timeout_s,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    return _Received(reply.ok)
+        except zenoh.ZError as error:
+            log.debug("get %s: %s", key, error)
+        return None
+
+    def subscribe(self, key: str, callback: Callable[[Message], None]) -> Handle:
+        def receive(sample: Any) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                callback(_Received(sample))
+
+        return _Handle(self._session.declare_subscriber(key, _guarded(receive)))
+
+    def serve(self, key: str, callback: Callable[[Query], None]) -> Handle:
+        return _Handle(self._session.declare_queryable(key, _guarded(lambda query: callback(_ReceivedQuery(query)))))
+
+    def announce(self, key: str) -> Handle:
+        return _Handle(self._session.liveliness().declare_token(key))
+
+    def watch(self, key: str, callback: Callable[[str, bool], None]) -> Handle:
+        def receive(sample: Any) -> None:
+            callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        return _Handle(self._session.liveliness().declare_subscriber(key, _guarded(receive), history=True))
+
+    def close(self) -> None:
+        """Close the connection; a thread waiting in `get` returns. May be called twice."""
+        try:
+            if not self._session.is_closed():
+                self._session.close()
+        except zenoh.ZError as error:
+            log.debug("close: %s", error)
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _guarded(callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    def call(argument: Any) -> None:
+        try:
+            callback(argument)
+        except Exception:  # zenoh would print it and go on; a log line can be found
+            log.exception("callback of the wire failed")
+
+    return call
+
+
+class _Received:
+    def __init__(self, message: Any) -> None:
+        self._message = message
+
+    @property
+    def key(self) -> str:
+        return str(self._message.key_expr)
+
+    @property
+    def size(self) -> int:
+        payload = self._message.payload
+        return 0 if payload is None else len(payload)
+
+    @property
+    def payload(self) -> bytes:
+        payload = self._message.payload
+        return b"" if payload is None else bytes(payload.to_bytes())
+
+    @property
+    def attachment(self) -> bytes:
+        attachment = self._message.attachment
+        return b"" if attachment is None else bytes(attachment.to_bytes())
+
+
+class _ReceivedQuery(_Received):
+    def reply(self, payload: bytes, attachment: bytes = b"") -> None:
+        try:
+            with self._message as query:  # leaving the block tells the sender that no more answers come
+                query.reply(query.key_expr, payload, attachment=attachment or None)
+        except Exception as error:  # the sender has gone, or a second answer
+            log.debug("reply: %s", error)
+
+
+class _Handle:
+    def __init__(self, declared: Any) -> None:
+        self._declared = declared
+        self._lock = threading.Lock()
+
+    def close(self) -> None:
+        with self._lock:
+            declared, self._declared = self._declared, None
+        if declared is None:
+            return
+        try:
+            declared.undeclare()
+        except zenoh.ZError as error:  # its session closed first
+            log.debug("undeclare: %s", error)

@@ -1,0 +1,159 @@
+"""How fast one actor collects: transitions/s, multiple of real time, where the time goes, memory, start-up.
+
+    python benchmarks/actor_throughput.py --worlds ../shared/barn --seconds 20 --processes 1 2
+
+Everything of a real actor except the wire: exploration noise, a policy forward of the papers' network, every planner stage.
+Two plain busy loops run beside two actors tell what two cores of this machine are worth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import psutil
+
+PAPER_TRANSITIONS_PER_CPU_S = 0.46  # 231 transitions/s on 500 CPUs
+
+
+class StageClock:
+    """Wraps methods of an object and adds up the time spent in each."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.calls: dict[str, int] = defaultdict(int)
+
+    def watch(self, owner: Any, method: str, stage: str) -> None:
+        inner: Callable[..., Any] = getattr(owner, method)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return inner(*args, **kwargs)
+            finally:
+                self.seconds[stage] += time.perf_counter() - start
+                self.calls[stage] += 1
+
+        setattr(owner, method, timed)
+
+
+def papers_policy(rng: np.random.Generator) -> Any:
+    """A random policy of the papers' shape: 729-512-512-512-8."""
+    from appl_dist.actor.policy import MLPPolicy
+    from appl_dist.policy_file import PolicyFile
+    from appl_dist.spec import OBSERVATION_SIZE
+
+    sizes = [OBSERVATION_SIZE, 512, 512, 512, 8]
+    weights = tuple(rng.normal(0, 1 / np.sqrt(i), (o, i)).astype(np.float32) for i, o in zip(sizes, sizes[1:]))
+    return MLPPolicy(PolicyFile(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:])))
+
+
+def run_actor(path: str, timing: str, seconds: float, seed: int, stages: bool, out: Any) -> None:
+    from appl_dist.actor.env import NavigationEnv
+    from appl_dist.actor.exploration import ExplorationSettings, explore
+    from appl_dist.actor.rollout import collect
+    from appl_dist.actor.worldset import select_worlds
+    from appl_dist.config import load
+
+    settings = load([f"timing={timing}", f"world.path={path}"])
+    env = NavigationEnv(
+        select_worlds(path, 300, 0, "train"), timing=settings.timing, planner=settings.planner, robot=settings.robot
+    )
+    rng = np.random.default_rng(seed)
+    policy = papers_policy(rng)
+    clock = StageClock()
+    if stages:
+        loop = env.loop
+        clock.watch(loop.simulator, "step", "physics")
+        clock.watch(loop.simulator, "scan", "lidar")
+        clock.watch(loop.simulator, "reset", "reset: world")
+        clock.watch(loop.navigator, "reset", "reset: planner")
+        clock.watch(loop.navigator, "update_local_map", "local map")
+        clock.watch(loop.navigator, "update_global_map", "global map")
+        clock.watch(loop.navigator, "plan", "global plan")
+        clock.watch(loop.navigator, "control", "local planner")
+        clock.watch(policy, "act", "policy")
+    explorer = ExplorationSettings()
+    env.reset(seed=seed)
+    transitions, simulated_s, episodes = 0, 0.0, 0
+    start = time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        rollout = collect(env, lambda o: explore(policy.act(o), explorer, 50_000, 100_000, rng), world=env.next_world())
+        assert rollout is not None
+        transitions += len(rollout)
+        simulated_s += env.loop.now_ms / 1000.0
+        episodes += 1
+    wall = time.perf_counter() - start
+    memory = psutil.Process().memory_info().rss / 2**20
+    out.put((transitions, simulated_s, episodes, wall, memory, dict(clock.seconds), dict(clock.calls)))
+    env.close()
+
+
+def busy(seconds: float, out: Any) -> None:
+    end, n = time.perf_counter() + seconds, 0
+    while time.perf_counter() < end:
+        for _ in range(10_000):
+            n += 1
+    out.put(n)
+
+
+def together(target: Callable[..., None], arguments: list[tuple[Any, ...]]) -> list[Any]:
+    context = multiprocessing.get_context("spawn")
+    queue = context.Queue()
+    processes = [context.Process(target=target, args=(*a, queue)) for a in arguments]
+    for p in processes:
+        p.start()
+    results = [queue.get() for _ in processes]
+    for p in processes:
+        p.join()
+    return results
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--worlds", default="", help="folder of BARN worlds; generated ones without")
+    parser.add_argument("--timing", default="gazebo")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
+    a = parser.parse_args()
+
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", "import appl_dist.actor.main, appl_dist.config"], check=True)
+    print(f"start-up (interpreter and imports of an actor): {time.perf_counter() - start:.2f} s")
+
+    [(n, sim_s, episodes, wall, memory, seconds, calls)] = together(
+        run_actor, [(a.worlds, a.timing, a.seconds, 0, True)]
+    )
+    print(f"\nwhere the time goes, {a.timing} timing, {episodes} episodes, {sim_s:.0f} simulated seconds")
+    print(f"{'stage':<16}{'ms per simulated s':>20}{'share':>8}{'calls per sim. s':>18}")
+    rest = wall - sum(seconds.values())
+    for stage, s in [*sorted(seconds.items(), key=lambda kv: -kv[1]), ("Python and rest", rest)]:
+        count = f"{calls[stage] / sim_s:.1f}" if stage in calls else ""
+        print(f"{stage:<16}{1000 * s / sim_s:>20.3f}{s / wall:>8.1%}{count:>18}")
+
+    single = 0.0
+    print(
+        f"\n{'processes':<10}{'transitions/s':>14}{'x real time':>12}{'x paper CPU':>12}{'MiB each':>10}{'speed-up':>10}"
+    )
+    for k in a.processes:
+        results = together(run_actor, [(a.worlds, a.timing, a.seconds, i, False) for i in range(k)])
+        rate = sum(n / w for n, _, _, w, *_ in results)
+        real = sum(s / w for _, s, _, w, *_ in results)
+        memory = max(m for *_, m, _, _ in results)
+        single = single or rate / k
+        per_cpu = rate / k / PAPER_TRANSITIONS_PER_CPU_S
+        print(f"{k:<10}{rate:>14.1f}{real:>12.0f}{per_cpu:>12.0f}{memory:>10.0f}{rate / single:>10.2f}")
+    for k in a.processes:
+        loops = together(busy, [(3.0,)] * k)
+        print(f"{k} plain busy loop(s): {sum(loops) / 3e6:.1f} M increments/s")
+
+
+if __name__ == "__main__":
+    main()
