@@ -210,11 +210,13 @@ def global_plans(data: Any) -> Iterator[Tally]:
         lethal.flat[arrays["lethal_flat"][lethal_at[i] : lethal_at[i + 1]]] = 254
         planner.load_map(False, lethal, *origin)
         planner.inflate(False)
-        plan = planner.plan_between(arrays["start"][i].copy(), arrays["goal"][i].copy())
+        start, goal = arrays["start"][i].copy(), arrays["goal"][i].copy()
+        plan = planner.plan_between(start, goal, False)
         found.flag(bool(len(plan)) == bool(arrays["ok"][i]))
         plans.add(plan, arrays["plan_xy"][plan_at[i] : plan_at[i + 1]])
         if i in stored:
             k = stored[i]
+            planner.plan_between(start, goal, True)
             potentials.add(planner.potential(), potential[k], items=potential[k].size, whole=False)
             costs.add(planner.map(False, False), costmap[k], items=costmap[k].size, whole=False)
     yield from (plans, found)

@@ -130,7 +130,7 @@ static void propagate_to_goal(navfn *n, int start, int goal) {
     n->goal_cx = goal % n->w, n->goal_cy = goal / n->w;
     const float dx = (float)(start % n->w - n->goal_cx), dy = (float)(start / n->w - n->goal_cy);
     const float guess = n->goal_potential > 0 ? n->goal_potential + 300.0f : 56.0f * sqrtf(dx * dx + dy * dy);
-    n->bound = guess + BOUND_MARGIN;
+    n->bound = n->whole ? POTENTIAL_NONE : guess + BOUND_MARGIN;
     n->cells = 0;
     for (;;) {
         propagate(n, start, goal);
