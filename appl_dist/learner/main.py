@@ -37,6 +37,20 @@ from appl_dist.wire.weights import WeightsPublisher
 log = logging.getLogger(__name__)
 
 POLICY_FILE = "policy.safetensors"
+# What of the status goes to TensorBoard and metrics.jsonl, and its name there.
+SCALARS = {
+    "success": "episode/success",
+    "time_s": "episode/time_s",
+    "return": "episode/return",
+    "episodes": "episode/count",
+    "staleness": "policy/staleness",
+    "version": "policy/version",
+    "sigma": "policy/noise_sigma",
+    "transitions_per_s": "rate/transitions_per_s",
+    "updates_per_s": "rate/updates_per_s",
+    "samples_per_insert": "rate/samples_per_insert",
+    "updates": "rate/updates",
+}
 DRAIN_S = 5.0  # after the run's end: for the last rollouts of actors that stop
 IDLE_S = 0.005
 
@@ -61,9 +75,7 @@ class Learner:
 
     def __init__(self, bus: Bus, run: Run, settings: LearnerSettings) -> None:
         self.run_info, self.settings = run, settings
-        self.replay = Replay(
-            run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma
-        )
+        self.replay = Replay(run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma)
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
@@ -134,7 +146,15 @@ class Learner:
 
     def close(self) -> None:
         """Let go of the wire and the files."""
-        for part in (self.control, self.server, self.publisher, self.roster, self.checkpoints, self.metrics, self.replay):
+        for part in (
+            self.control,
+            self.server,
+            self.publisher,
+            self.roster,
+            self.checkpoints,
+            self.metrics,
+            self.replay,
+        ):
             part.close()
 
     @property
@@ -182,7 +202,7 @@ class Learner:
     def _report(self) -> None:
         self._rates.mark(self.replay.transitions_total, self.td3.updates)
         self._status = status = self._status_now()
-        scalars = {k: v for k, v in status.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+        scalars = {SCALARS[k]: float(status[k]) for k in SCALARS if status[k] is not None}
         self.metrics.write(self.replay.transitions_total, {**scalars, **self._named(self._last)})
 
     def _named(self, numbers: dict[str, float]) -> dict[str, float]:

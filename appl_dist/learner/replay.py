@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,9 +43,7 @@ _ENTRY = np.dtype(
         ("actor", "<u4"),
     ]
 )
-_ACTOR = np.dtype(
-    [("id", f"S{_ACTOR_ID_BYTES}"), ("floor", "<i8")]
-)  # floor: sequence numbers below are evicted
+_ACTOR = np.dtype([("id", f"S{_ACTOR_ID_BYTES}"), ("floor", "<i8")])  # floor: sequence numbers below are evicted
 
 
 @dataclass(frozen=True)
@@ -150,6 +149,22 @@ class Replay:
         """The sequence number `insert` takes next from this actor; 0 for one never seen."""
         return self._expected.get(actor_id, 0)
 
+    def ledger(self) -> dict[str, int]:
+        """Every actor's expected sequence number, for a checkpoint."""
+        return dict(self._expected)
+
+    def resume(self, ledger: Mapping[str, int], transitions_total: int) -> None:
+        """Take up the counts of an earlier replay whose rows are gone (it was in memory).
+
+        ValueError if rollouts were already inserted: then the index knows better.
+        """
+        if self.rollouts_total:
+            raise ValueError(f"resume: replay already holds {self.rollouts_total} rollouts")
+        for actor_id, expected in ledger.items():
+            self._actors.data["floor"][self._actor_slot(actor_id)] = expected
+            self._expected[actor_id] = expected
+        self._total = transitions_total
+
     # ---- in
 
     def insert(self, rollout: Rollout, actor_id: str, seq: int) -> bool:
@@ -206,14 +221,10 @@ class Replay:
             return slot
         name = actor_id.encode()
         if not 1 <= len(name) <= _ACTOR_ID_BYTES or b"\0" in name:
-            raise ValueError(
-                f"actor id {actor_id!r}: got {len(name)} bytes; allowed 1..{_ACTOR_ID_BYTES}, no NUL"
-            )
+            raise ValueError(f"actor id {actor_id!r}: got {len(name)} bytes; allowed 1..{_ACTOR_ID_BYTES}, no NUL")
         slot = len(self._slots)
         if slot == MAX_ACTORS:
-            raise UserError(
-                f"replay: {MAX_ACTORS} actor ids seen; actors must keep their id when they restart"
-            )
+            raise UserError(f"replay: {MAX_ACTORS} actor ids seen; actors must keep their id when they restart")
         self._actors.claim(slot, slot + 1)
         self._actors.data[slot] = (name, 0)
         self._header.data["actors"][0] = slot + 1

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from appl_dist.learner.limiter import LimiterSettings
+
 
 @dataclass(frozen=True)
 class TD3Settings:
@@ -50,7 +52,7 @@ class LearnerSettings:
     """The learner process around `TD3`.
 
     gamma, n_step: of the n-step returns that replay computes. replay_capacity: transitions.
-    samples_per_insert: how often each transition is sampled on average; samples_tolerance: how many transitions either
+    samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many transitions either
     side may run ahead. min_transitions: collected before learning starts. Periods in seconds; detail_every in updates.
     """
 
@@ -82,3 +84,16 @@ class LearnerSettings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ValueError(f"learner.{name}: got {value}; allowed {low:g}..{high:g}")
+        self.limits()
+
+    def limits(self) -> LimiterSettings:
+        """The limiter's settings; ValueError if they could stop both sides for good."""
+        try:
+            return LimiterSettings(
+                self.samples_per_insert,
+                self.min_transitions,
+                self.samples_tolerance,
+                batch_size=self.td3.batch_size,
+            )
+        except ValueError as e:
+            raise ValueError(f"learner: samples_{e}") from None

@@ -39,9 +39,7 @@ class MappedArray:
         size = os.fstat(self._fd).st_size
         if size not in (0, self.bytes):
             os.close(self._fd)
-            raise UserError(
-                f"{path}: has {size} bytes, expected {self.bytes}; damaged or from another version"
-            )
+            raise UserError(f"{path}: has {size} bytes, expected {self.bytes}; damaged or from another version")
         try:
             os.ftruncate(self._fd, self.bytes)
         except OSError as e:

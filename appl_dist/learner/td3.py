@@ -55,6 +55,8 @@ class TD3:
 
     def update(self, batch: Batch, detail: bool = False) -> Metrics:
         """One training step. `detail` adds norms and action saturation, worth a pass over all parameters."""
+        # Moments of dead units decay into denormals, which are slow; the flag is the calling thread's.
+        torch.set_flush_denormal(True)
         obs, action, returns, discounts, next_obs = (
             torch.from_numpy(a).to(self.device)
             for a in (
@@ -66,54 +68,58 @@ class TD3:
             )
         )
         targets = self.targets(returns, discounts, next_obs)  # (b,)
-        q = self.critic(torch.cat((obs, action), 1))[..., 0]  # (2, b)
-        error = q - targets
-        critic_loss = error.square().mean(1).sum()
-        self._step(self.critic, self.critic_adam, critic_loss)
+        done = self.critic.forward(torch.cat((obs, action), 1))
+        error = done.output[..., 0] - targets  # (2, b)
+        self.critic.backward(done, (error * (2.0 / len(targets)))[..., None])
+        self._step(self.critic, self.critic_adam)
         self.updates += 1
-        with torch.no_grad():
-            metrics: Metrics = {
-                "loss/critic": critic_loss.detach(),
-                "q/mean": q.mean(),
-                "q/std": q[0].std(correction=0),
-                "q/target_mean": targets.mean(),
-                "q/td_error": error.abs().mean(),
-            }
+        metrics: Metrics = {
+            "loss/critic": error.square().mean(1).sum(),  # the sum of both networks' mean squared errors
+            "q/mean": done.output.mean(),
+            "q/std": done.output[0].std(correction=0),
+            "q/target_mean": targets.mean(),
+            "q/td_error": error.abs().mean(),
+        }
         if self.updates % self.settings.policy_delay == 0:
-            chosen = self.actor(obs)[0].tanh()  # (b, act)
-            actor_loss = -self.critic(torch.cat((obs, chosen), 1), heads=1, frozen=True).mean()
-            self._step(self.actor, self.actor_adam, actor_loss)
+            metrics["loss/actor"] = self._improve_policy(obs)
             self._average_targets()
-            metrics["loss/actor"] = actor_loss.detach()
         if detail:
             metrics |= self._detail(obs)
         return metrics
 
-    @torch.no_grad()
+    def _improve_policy(self, obs: Tensor) -> Tensor:
+        """One step up the first critic's value of the actor's own actions, TD3 paper eq. 6; its loss."""
+        done = self.actor.forward(obs)
+        chosen = done.output[0].tanh()  # (b, act)
+        value = self.critic.forward(torch.cat((obs, chosen), 1), heads=1)
+        down = torch.full_like(value.output, -1.0 / len(obs))  # the loss is -mean Q
+        by_action = self.critic.input_gradient(value, down, chosen.shape[1])
+        self.actor.backward(done, (by_action * (1.0 - chosen.square()))[None])
+        self._step(self.actor, self.actor_adam)
+        return -value.output.mean()
+
     def targets(self, returns: Tensor, discounts: Tensor, next_obs: Tensor) -> Tensor:
         """(b,) y = R_n + gamma^k min_i Q'_i(s', clip(pi'(s') + clip(noise))), TD3 paper eq. 14."""
         s = self.settings
-        action = self.actor_target(next_obs)[0].tanh()
+        action = self.actor_target.forward(next_obs).output[0].tanh()
         noise = torch.randn(action.shape, generator=self.noise, device=self.device) * s.target_noise
         noise.clamp_(-s.target_noise_clip, s.target_noise_clip)
         action = (action + noise).clamp_(-1.0, 1.0)
-        q = self.critic_target(torch.cat((next_obs, action), 1))[..., 0]
+        q = self.critic_target.forward(torch.cat((next_obs, action), 1)).output[..., 0]
         return returns + discounts * q.amin(0)
 
-    def _step(self, net: FlatMLP, adam: torch.optim.Adam, loss: Tensor) -> None:
-        net.store_gradients(torch.autograd.grad(loss, net.leaves))
+    @staticmethod
+    def _step(net: FlatMLP, adam: torch.optim.Adam) -> None:
         adam.step()
         net.refresh()
 
-    @torch.no_grad()
     def _average_targets(self) -> None:
         for target, net in ((self.actor_target, self.actor), (self.critic_target, self.critic)):
             target.flat.lerp_(net.flat, self.settings.polyak)
             target.refresh()
 
-    @torch.no_grad()
     def _detail(self, obs: Tensor) -> Metrics:
-        saturated = (self.actor(obs)[0].tanh().abs() > 0.99).float().mean(0)  # (act,)
+        saturated = (self.actor.forward(obs).output[0].tanh().abs() > 0.99).float().mean(0)  # (act,)
         return {
             "norm/actor": self.actor.flat.norm(),
             "norm/critic": self.critic.flat.norm(),
@@ -131,16 +137,14 @@ class TD3:
         return weights, biases
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Copies of every tensor (on the CPU) and plain number that `update` depends on."""
+        """Every tensor and plain number that `update` depends on. The tensors are the live ones: copy them."""
         tensors = {
-            f"{name}.flat": getattr(self, name).flat
-            for name in ("actor", "critic", "actor_target", "critic_target")
+            f"{name}.flat": getattr(self, name).flat for name in ("actor", "critic", "actor_target", "critic_target")
         }
         for name, adam, net in self._optimisers():
             for key in ("exp_avg", "exp_avg_sq", "step"):
                 empty = torch.zeros(()) if key == "step" else torch.zeros_like(net.flat)
                 tensors[f"{name}.{key}"] = adam.state[net.flat].get(key, empty)
-        tensors = {k: v.detach().to("cpu", copy=True) for k, v in tensors.items()}
         tensors["noise"] = self.noise.get_state()
         return tensors, {"updates": self.updates, "sizes": [self.actor.sizes, self.critic.sizes]}
 
@@ -152,13 +156,11 @@ class TD3:
             raise ValueError(f"networks: the state has layers {found}; the settings ask for {sizes}")
         for name in ("actor", "critic", "actor_target", "critic_target"):
             net: FlatMLP = getattr(self, name)
-            with torch.no_grad():
-                net.flat.copy_(tensors[f"{name}.flat"])
+            net.flat.copy_(tensors[f"{name}.flat"])
             net.refresh()
         for name, adam, net in self._optimisers():
             adam.state[net.flat] = {
-                key: tensors[f"{name}.{key}"].to(self.device, copy=True)
-                for key in ("step", "exp_avg", "exp_avg_sq")
+                key: tensors[f"{name}.{key}"].to(self.device, copy=True) for key in ("step", "exp_avg", "exp_avg_sq")
             }
         self.noise.set_state(tensors["noise"].cpu())
         self.updates = int(numbers["updates"])

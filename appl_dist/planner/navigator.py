@@ -36,7 +36,7 @@ class State(IntEnum):
 class Navigator:
     """Plans for one robot; not thread-safe, but releases the GIL while it computes."""
 
-    def __init__(self, settings: PlannerSettings = PlannerSettings(), values: Array | None = None) -> None:  # noqa: B008
+    def __init__(self, settings: PlannerSettings = PlannerSettings(), values: Array | None = None) -> None:
         """`values` (8,) in spec.DWA order, default the hand-tuned ones. ValueError names what cannot be."""
         self.settings = settings
         self._planner = _native.Planner(settings, _floats(DWA.defaults if values is None else values))
@@ -132,6 +132,12 @@ class Navigator:
         """(n, 3) x, y, yaw of the roll-out chosen last, for drawing."""
         points: Array = self._planner.best()
         return points
+
+    @property
+    def best_cost(self) -> float | None:
+        """Cost of the roll-out the last control cycle chose; None when it chose none."""
+        cost = float(self._planner.best_sample()[2])
+        return None if math.isnan(cost) else cost
 
     @property
     def rollouts(self) -> int:
