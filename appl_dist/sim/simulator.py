@@ -21,6 +21,7 @@ from appl_dist.sim.worlds import Floats, World
 
 OPEN_MS = 100  # pybullet step where no obstacle is in reach
 CONTACT_MS = 4  # and where one is: 8 mm at full speed
+FREE_MS = 20  # how far ahead the way is checked at once
 GLIDE_MS = 20  # how often the ideal drive looks for collisions
 NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
@@ -102,7 +103,7 @@ class Simulator:
             self._glide(ms)
             return
         while ms > 0:
-            chunk = min(ms, OPEN_MS - self._pending_ms)
+            chunk = min(ms, FREE_MS, OPEN_MS - self._pending_ms)
             if not self._held and vehicle.drive_free(chunk, NEAR_M):
                 self._pending_ms += chunk
                 if self._pending_ms == OPEN_MS:
