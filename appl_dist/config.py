@@ -6,7 +6,9 @@ them with `conf/` and the command line; a wrong key, type or value becomes one s
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import functools
 import json
 import os
 import re
@@ -201,8 +203,8 @@ def _schema(cls: type) -> type:
             twin = _schema(typing.cast(type, hint))
             rows.append((f.name, twin, field(default_factory=twin)))
         elif f.default is not dataclasses.MISSING:
-            default = list(f.default) if isinstance(f.default, tuple) else f.default
-            rows.append((f.name, _plain(hint), field(default_factory=lambda d=default: d)))
+            default: Any = list(f.default) if isinstance(f.default, tuple) else f.default
+            rows.append((f.name, _plain(hint), field(default_factory=functools.partial(copy.copy, default))))
         elif f.default_factory is not dataclasses.MISSING:
             rows.append((f.name, _plain(hint), field(default_factory=f.default_factory)))
         else:

@@ -192,9 +192,7 @@ def _space_from_plain(plain: Any) -> ParameterSpace:
     parameters = []
     for i, row in enumerate(rows):
         at = f"space.parameters[{i}]"
-        default, low, high = (
-            float(_take(row, k, (int, float), f"{at}.{k}")) for k in ("default", "low", "high")
-        )
+        default, low, high = (float(_take(row, k, (int, float), f"{at}.{k}")) for k in ("default", "low", "high"))
         if not all(map(math.isfinite, (default, low, high))):
             raise ValueError(f"{at}: a default or bound is not finite")
         unit, integer = _take(row, "unit", str, f"{at}.unit"), _take(row, "integer", bool, f"{at}.integer")
@@ -224,19 +222,13 @@ def _read_header(blob: bytes) -> dict[str, Any]:
         raise ValueError(f"got {len(blob)} bytes, too few for a safetensors file")
     (size,) = struct.unpack("<Q", blob[:8])
     if size > min(len(blob) - 8, _MAX_HEADER_BYTES):
-        raise ValueError(
-            f"header of {size} bytes does not fit (file of {len(blob)} bytes: cut or not safetensors)"
-        )
+        raise ValueError(f"header of {size} bytes does not fit (file of {len(blob)} bytes: cut or not safetensors)")
     outer = json.loads(blob[8 : 8 + size])
-    header = json.loads(
-        _take(_take(outer, "__metadata__", dict, "__metadata__"), _HEADER_KEY, str, _HEADER_KEY)
-    )
+    header = json.loads(_take(_take(outer, "__metadata__", dict, "__metadata__"), _HEADER_KEY, str, _HEADER_KEY))
     if _take(header, "format", int, "format") != FORMAT:
         raise ValueError(f"format: got {header['format']}; this version reads {FORMAT}")
     if _take(header, "observation", dict, "observation") != OBSERVATION_LAYOUT:
-        raise ValueError(
-            f"observation: trained on {header['observation']}; this version has {OBSERVATION_LAYOUT}"
-        )
+        raise ValueError(f"observation: trained on {header['observation']}; this version has {OBSERVATION_LAYOUT}")
     if _take(header, "activation", str, "activation") != ACTIVATION:
         raise ValueError(f"activation: got {header['activation']!r}; allowed {ACTIVATION!r}")
     return dict(header)

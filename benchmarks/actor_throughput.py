@@ -85,9 +85,7 @@ def run_actor(path: str, timing: str, seconds: float, seed: int, stages: bool, o
     transitions, simulated_s, episodes = 0, 0.0, 0
     start = time.perf_counter()
     while time.perf_counter() - start < seconds:
-        rollout = collect(
-            env, lambda o: explore(policy.act(o), explorer, 50_000, 100_000, rng), world=env.next_world()
-        )
+        rollout = collect(env, lambda o: explore(policy.act(o), explorer, 50_000, 100_000, rng), world=env.next_world())
         assert rollout is not None
         transitions += len(rollout)
         simulated_s += env.loop.now_ms / 1000.0
@@ -141,7 +139,9 @@ def main() -> None:
         print(f"{stage:<16}{1000 * s / sim_s:>20.3f}{s / wall:>8.1%}{count:>18}")
 
     single = 0.0
-    print(f"\n{'processes':<10}{'transitions/s':>14}{'x real time':>12}{'x paper CPU':>12}{'MiB each':>10}{'speed-up':>10}")
+    print(
+        f"\n{'processes':<10}{'transitions/s':>14}{'x real time':>12}{'x paper CPU':>12}{'MiB each':>10}{'speed-up':>10}"
+    )
     for k in a.processes:
         results = together(run_actor, [(a.worlds, a.timing, a.seconds, i, False) for i in range(k)])
         rate = sum(n / w for n, _, _, w, *_ in results)

@@ -80,7 +80,6 @@ class NavigationLoop:
         self._control = Rate(t.control_period_ms, phase[3])
         self._planning_from: Array | None = None
         self._plan_done_ms = NEVER
-        self._plan_work_ms = self._delay_ms(t.plan_base_ms, t.plan_us_per_cell, 0)
         self._control_done_ms = 0
         self._sense()
 
@@ -136,8 +135,8 @@ class NavigationLoop:
             self.estimate = self._estimates.pop(0)[1]
         return self.estimate
 
-    def _delay_ms(self, base_ms: float, us_per_unit: float, work: int) -> int:
-        return math.ceil((base_ms + us_per_unit * work / 1000.0) * self.timing.cpu_factor)
+    def _delay_ms(self, work_ms: float) -> int:
+        return math.ceil(work_ms * self.timing.cpu_factor)
 
     def _compute(self, now_ms: int) -> None:
         """Run the map, plan or control cycle that is due at `now_ms`."""
@@ -160,16 +159,15 @@ class NavigationLoop:
         elif self._planning_from is None and now_ms == self._plan.due_ms:
             # The map is held while planning, so computing at the end from the pose at the start is the same.
             self._planning_from = pose
-            self._plan_done_ms = now_ms + self._plan_work_ms
+            self._plan_done_ms = now_ms + self._delay_ms(t.plan_ms)
         elif self._planning_from is not None and now_ms == self._plan_done_ms:
             self.navigator.plan(self._planning_from)
-            self._plan_work_ms = self._delay_ms(t.plan_base_ms, t.plan_us_per_cell, self.navigator.navfn_cells)
             self._planning_from = None
             self._plan.finish(now_ms)
         else:
             command = self.navigator.control(pose, twist, now_ms / 1000.0)
-            work_ms = self._delay_ms(t.control_base_ms, t.control_us_per_step, self.navigator.rollout_steps)
-            self._control_done_ms = now_ms + work_ms
+            work_ms = t.control_base_ms + t.control_us_per_step * self.navigator.rollout_steps / 1000.0
+            self._control_done_ms = now_ms + self._delay_ms(work_ms)
             self._in_flight.append((self._control_done_ms + t.command_delay_ms, command))
             self._control.finish(self._control_done_ms)
 

@@ -24,7 +24,8 @@ PAST_PATH_END_M = 5.0  # `appl`, `ros_jackal`: the move_base goal lies this far 
 class Protocol:
     """One set of rules of a trial.
 
-    start_x_m, start_y_m: start; None for x takes the x of the reference path's first cell.
+    start_x_m, start_y_m: start; None for x takes the x of the reference path's first cell, under the published transform
+    (`World.path_official`): it lies 0.15 m and 0.10 m off the cylinders, but the recorded runs started there.
     goal_ahead_m: goal = start + (0, goal_ahead_m); None puts it PAST_PATH_END_M past the path's end.
     success_y_m: success once y exceeds it; None succeeds within goal_radius_m of the goal instead.
     limit_s: time limit, counted (like the trial's time) from clock_starts_after_m of motion on.
@@ -46,13 +47,14 @@ class Protocol:
 
     def start(self, world: World) -> NDArray[np.float64]:
         """(3,) start pose x, y, yaw in the world frame."""
-        x = float(world.path[0, 0]) if self.start_x_m is None else self.start_x_m
+        x = float(world.path_official[0, 0]) if self.start_x_m is None else self.start_x_m
         return np.array([x, self.start_y_m, FORWARD])
 
     def goal(self, world: World) -> NDArray[np.float64]:
         """(2,) goal x, y in the world frame."""
         if self.goal_ahead_m is None:
-            return np.array([world.path[-1, 0], world.path[-1, 1] + PAST_PATH_END_M])
+            x, y = world.path_official[-1]
+            return np.array([x, y + PAST_PATH_END_M])
         start = self.start(world)
         return np.array([start[0], start[1] + self.goal_ahead_m])
 

@@ -35,9 +35,7 @@ class Spool:
     UserError: folder taken by a running process, of another owner, not writable or out of space.
     """
 
-    def __init__(
-        self, folder: str | Path, owner: str, max_count: int = 256, max_bytes: int = 256 << 20
-    ) -> None:
+    def __init__(self, folder: str | Path, owner: str, max_count: int = 256, max_bytes: int = 256 << 20) -> None:
         if max_count < 1 or max_bytes < 1:
             raise ValueError(f"max_count, max_bytes: got {max_count}, {max_bytes}; allowed 1 and up")
         self.folder = Path(folder)
@@ -103,7 +101,7 @@ class Spool:
             return seq
 
     def peek(self, timeout_s: float = 0.0) -> tuple[int, bytes] | None:
-        """(seq, blob) of the oldest pending rollout; None if none came within `timeout_s` or before `stop`."""
+        """(seq, blob) of the oldest pending rollout; None if none came within `timeout_s` or `stop`."""
         with self._changed:
             self._changed.wait_for(lambda: self._stopped or bool(self._sizes), timeout_s)
             if not self._sizes:
@@ -132,8 +130,8 @@ class Spool:
             if expected > self._next and self._sizes:
                 raise UserError(
                     f"spool {self.folder}: holds rollouts up to number {self._next - 1}, but the learner "
-                    f"already has {expected} of {self.owner}; the folder comes from a backup or another machine used "
-                    "this actor id; give this actor another id or empty the folder"
+                    f"already has {expected} of {self.owner}; the folder comes from a backup, or another "
+                    "machine used this actor id; give this actor another id or empty the folder"
                 )
             for seq in [seq for seq in self._sizes if seq < expected]:
                 self._remove(seq)
@@ -212,13 +210,9 @@ class Spool:
             values: dict[str, Any] = json.loads(path.read_bytes())
             owner, following = str(values["owner"]), int(values["next_seq"])
         except (ValueError, TypeError, KeyError) as error:
-            raise UserError(
-                f"{path}: damaged ({error}); remove the folder to start this actor anew"
-            ) from error
+            raise UserError(f"{path}: damaged ({error}); remove the folder to start this actor anew") from error
         if owner != self.owner:
-            raise UserError(
-                f"spool {self.folder}: belongs to {owner}, not to {self.owner}; use another folder"
-            )
+            raise UserError(f"spool {self.folder}: belongs to {owner}, not to {self.owner}; use another folder")
         return following
 
     def _write_counter(self) -> None:
@@ -235,9 +229,7 @@ class Spool:
             raise self._cannot_write(error) from error
 
     def _cannot_write(self, error: OSError) -> UserError:
-        return UserError(
-            f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder"
-        )
+        return UserError(f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder")
 
 
 def _lock(folder: Path) -> int:
@@ -249,8 +241,7 @@ def _lock(folder: Path) -> int:
         holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
         raise UserError(
-            f"spool {folder}: in use by process {holder}; two actors cannot share a folder, "
-            "give each its own id"
+            f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
         ) from error
     os.truncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 class TimingSettings:
     """Periods and delays in whole milliseconds; computing times in milliseconds of work.
 
-    A planning or control cycle takes `*_base_ms + work * *_us_per_* / 1000`, times `cpu_factor`: the time
-    the real C++ needs for the same work on one core of a server, scaled to the computer it runs on.
+    A control cycle takes `control_base_ms + steps * control_us_per_step / 1000` and a plan `plan_ms`, times
+    `cpu_factor`: what the real C++ needs on one core of a server, scaled to the computer it runs on.
     """
 
     scan_period_ms: int = 20
@@ -28,8 +28,7 @@ class TimingSettings:
     cpu_factor: float = 1.0
     control_base_ms: float = 1.65  # goal and path wavefronts, plus 1.5 ms for the published cost cloud
     control_us_per_step: float = 0.16  # one roll-out step: footprint outline and cell costs
-    plan_base_ms: float = 0.2
-    plan_us_per_cell: float = 0.05  # one expanded navfn cell
+    plan_ms: float = 1.65  # navfn, whose wave covers about the same area in every plan
 
     def __post_init__(self) -> None:
         for f in fields(self):

@@ -6,9 +6,9 @@ also differ in sign, lines in dash. matplotlib is imported on first use and neve
 
 from __future__ import annotations
 
+import contextlib
+import csv
 import io
-import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -122,26 +122,23 @@ def learning_figure(
 
 
 def read_metrics(path: str | Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Arrays for `learning_figure` from the learner's metrics.jsonl: transitions, time_s and success.
+    """Arrays for `learning_figure` from a training run's metrics.csv: transitions, time_s and success.
 
-    time_s and success are the learner's running means, in which failures count already. Lines without
-    them (no episode yet) and a last line cut short are skipped.
+    Reads its rows episode/time_s and episode/success: running means, in which failures count already. A last
+    line cut short is skipped.
     """
     try:
         lines = Path(path).read_text().splitlines()
     except OSError as error:
-        raise UserError(f"{path}: {error.strerror}; give the metrics file of a training run") from None
-    rows = []
-    for line in lines:
-        try:
-            record = json.loads(line)
-            row = (float(record["transitions"]), float(record["time_s"]), float(record["success"]))
-        except (ValueError, KeyError, TypeError):
-            continue
-        if all(math.isfinite(v) for v in row):
-            rows.append(row)
+        raise UserError(f"{path}: {error.strerror}; give the metrics.csv of a training run") from None
+    found: dict[float, dict[str, float]] = {}
+    for line in csv.reader(lines[1:]):
+        with contextlib.suppress(ValueError, IndexError):
+            if line[2] in ("episode/time_s", "episode/success"):
+                found.setdefault(float(line[1]), {})[line[2]] = float(line[3])
+    rows = [(step, v["episode/time_s"], v["episode/success"]) for step, v in found.items() if len(v) == 2]
     if not rows:
-        raise UserError(f"{path}: has no line with transitions, time_s and success; nothing to draw")
+        raise UserError(f"{path}: has no rows episode/time_s and episode/success; nothing to draw")
     transitions, time_s, success = np.array(sorted(rows, key=lambda r: r[0])).T
     return transitions, time_s, success
 

@@ -190,7 +190,7 @@ def _serial(settings: Settings) -> bool:
 def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
     """The final policy against the configured methods on worlds that training did not see."""
     from appl_dist.evaluate.main import evaluate
-    from appl_dist.learner.main import METRICS_FILE, POLICY_FILE
+    from appl_dist.learner.main import POLICY_FILE
 
     methods = [(label, spec) for label, _, spec in (m.partition("=") for m in settings.evaluation.methods)]
     evaluate(
@@ -202,7 +202,7 @@ def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
         environment=environment_arguments(settings),
         workers=settings.evaluation.workers or cores(),
         seed=settings.run.seed,
-        metrics=folder / METRICS_FILE,
+        metrics=folder / "metrics.csv",
         console=console,
     )
     sys.stdout.flush()

@@ -143,7 +143,9 @@ def act_in_run(
     between_episodes: asked before every episode; true holds the actor back for a moment.
     """
     env = NavigationEnv(
-        worlds_of(settings, settings.world.train), protocol=PROTOCOLS[settings.protocol], **environment_arguments(settings)
+        worlds_of(settings, settings.world.train),
+        protocol=PROTOCOLS[settings.protocol],
+        **environment_arguments(settings),
     )
     limit_bytes = settings.actor.spool_megabytes << 20
     with Spool(spool_folder, f"{run_id}/{actor_id}", settings.actor.spool_rollouts, limit_bytes) as spool:
@@ -154,9 +156,7 @@ def act_in_run(
         try:
             uploader.start(LEARNER_AWAY_S)
             seed = actor_seed(settings.run.seed, actor_id, spool.next_seq)
-            explorer = Explorer(
-                weights, env, settings.explore, settings.run.transitions, np.random.default_rng(seed)
-            )
+            explorer = Explorer(weights, env, settings.explore, settings.run.transitions, np.random.default_rng(seed))
             made = act(
                 env,
                 explorer,

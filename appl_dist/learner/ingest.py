@@ -16,6 +16,9 @@ from appl_dist.wire.codec import Ack, UploadHeader
 
 log = logging.getLogger(__name__)
 
+_PROMPT_ACTORS = 16  # up to this many are asked back after `retry_s`, more of them proportionally later
+_LONGEST_RETRY_S = 5.0
+
 
 class ReplayLike(Protocol):
     """What ingest needs of replay. `insert` is durable when it returns."""
@@ -78,8 +81,10 @@ class Ingest:
             return Ack("hello", expected, reason=f"expected rollout {expected}", epoch=header.epoch)
         if self._limiter is not None and not self._limiter.may_insert(len(rollout)):
             ledger.busy += 1
+            # Held actors send their rollout again each time: spread a large fleet's questions out.
+            retry_s = min(self._retry_s * max(1.0, len(self._ledgers) / _PROMPT_ACTORS), _LONGEST_RETRY_S)
             reason = "learning is behind collecting"
-            return Ack("busy", expected, self._retry_s, reason, epoch=header.epoch)
+            return Ack("busy", expected, retry_s, reason, epoch=header.epoch)
         self._replay.insert(rollout, header.actor, header.seq)
         ledger.rollouts += 1
         ledger.transitions += len(rollout)

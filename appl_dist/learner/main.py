@@ -37,6 +37,20 @@ from appl_dist.wire.weights import WeightsPublisher
 log = logging.getLogger(__name__)
 
 POLICY_FILE = "policy.safetensors"
+# What of the status goes to TensorBoard and metrics.jsonl, and its name there.
+SCALARS = {
+    "success": "episode/success",
+    "time_s": "episode/time_s",
+    "return": "episode/return",
+    "episodes": "episode/count",
+    "staleness": "policy/staleness",
+    "version": "policy/version",
+    "sigma": "policy/noise_sigma",
+    "transitions_per_s": "rate/transitions_per_s",
+    "updates_per_s": "rate/updates_per_s",
+    "samples_per_insert": "rate/samples_per_insert",
+    "updates": "rate/updates",
+}
 DRAIN_S = 5.0  # after the run's end: for the last rollouts of actors that stop
 IDLE_S = 0.005
 
@@ -188,7 +202,7 @@ class Learner:
     def _report(self) -> None:
         self._rates.mark(self.replay.transitions_total, self.td3.updates)
         self._status = status = self._status_now()
-        scalars = {k: v for k, v in status.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+        scalars = {SCALARS[k]: float(status[k]) for k in SCALARS if status[k] is not None}
         self.metrics.write(self.replay.transitions_total, {**scalars, **self._named(self._last)})
 
     def _named(self, numbers: dict[str, float]) -> dict[str, float]:

@@ -52,7 +52,7 @@ class LearnerSettings:
     """The learner process around `TD3`.
 
     gamma, n_step: of the n-step returns that replay computes. replay_capacity: transitions.
-    samples_per_insert: how often each transition is sampled on average; samples_tolerance: how many transitions either
+    samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many transitions either
     side may run ahead. min_transitions: collected before learning starts. Periods in seconds; detail_every in updates.
     """
 

@@ -10,6 +10,7 @@
 #include "check.h"
 
 extern "C" {
+#include "field.h"
 #include "geometry.h"
 #include "lidar.h"
 #include "tyres.h"
@@ -115,6 +116,19 @@ class Lidar {
     lidar_spec spec_;
     std::vector<double> cosines_, sines_;
 };
+
+// The first of (n, rows, cols) grids that can be crossed, its crossing region written to `region`; -1 if none can.
+long first_crossing(const appl::Array &blocked, const appl::Array &region) {
+    const uint8_t *grids = appl::checked<const uint8_t>(blocked, "blocked", {-1, -1, -1});
+    const size_t rows = blocked.shape(1), cols = blocked.shape(2);
+    uint8_t *out = appl::checked<uint8_t>(region, "region", {static_cast<long>(rows), static_cast<long>(cols)});
+    if (rows > 127 || rows < 1 || cols < 1) throw nb::value_error("blocked: a grid has 1 to 127 rows");
+    std::vector<int32_t> stack(rows * cols);
+    for (size_t i = 0; i < blocked.shape(0); ++i)
+        if (field_crossing(grids + i * rows * cols, static_cast<int>(rows), static_cast<int>(cols), out, stack.data()))
+            return static_cast<long>(i);
+    return -1;
+}
 }  // namespace
 
 void bind_sim(nb::module_ &m) {
@@ -157,6 +171,8 @@ void bind_sim(nb::module_ &m) {
                      [](const Vehicle &v) { return Triple(v.state().odom_x, v.state().odom_y, v.state().yaw); })
         .def_prop_ro("odom_twist",
                      [](const Vehicle &v) { return std::make_tuple(v.state().odom_v, v.state().odom_w); });
+
+    m.def("first_crossing", &first_crossing, nb::arg("blocked"), nb::arg("region"));
 
     nb::class_<Lidar>(m, "Lidar", "A planar lidar among upright cylinders.")
         .def(nb::init<size_t, double, double, double, double, double>(), nb::arg("beams"), nb::arg("angle_min"),

@@ -36,7 +36,7 @@ class State(IntEnum):
 class Navigator:
     """Plans for one robot; not thread-safe, but releases the GIL while it computes."""
 
-    def __init__(self, settings: PlannerSettings = PlannerSettings(), values: Array | None = None) -> None:  # noqa: B008
+    def __init__(self, settings: PlannerSettings = PlannerSettings(), values: Array | None = None) -> None:
         """`values` (8,) in spec.DWA order, default the hand-tuned ones. ValueError names what cannot be."""
         self.settings = settings
         self._planner = _native.Planner(settings, _floats(DWA.defaults if values is None else values))

@@ -32,16 +32,15 @@ def neighbours(grid: NDArray, outside: int) -> NDArray[np.int64]:
 
 
 def c_space(grid: Grid) -> Grid:
-    """Cells where the robot's 5 x 5 cells (0.75 m) would touch a filled cell."""
-    blocked = grid.copy()
-    for axis in (0, 1):
-        source = blocked.copy()
+    """(..., R, C) cells where the robot's 5 x 5 cells (0.75 m) would touch a filled cell."""
+    for axis in (-2, -1):
+        line = np.moveaxis(grid, axis, 0)
+        wide = line.copy()
         for k in (1, 2):
-            ahead, behind = [slice(None)] * 2, [slice(None)] * 2
-            ahead[axis], behind[axis] = slice(k, None), slice(None, -k)
-            blocked[tuple(ahead)] |= source[tuple(behind)]
-            blocked[tuple(behind)] |= source[tuple(ahead)]
-    return blocked
+            wide[k:] |= line[:-k]
+            wide[:-k] |= line[k:]
+        grid = np.moveaxis(wide, 0, axis)
+    return np.ascontiguousarray(grid)
 
 
 def fill_interior(grid: Grid) -> Grid:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UserError
-from .metrics import GRID, difficulty, fill_interior
+from .metrics import GRID, Grid, difficulty, fill_interior
 
 Floats = NDArray[np.float64]
 
@@ -73,12 +73,15 @@ def field_grid(cylinders: Floats) -> NDArray[np.bool_]:
     return fill_interior(grid)
 
 
-def make_world(index: int, name: str, cylinders: Floats, cells: NDArray[np.integer]) -> World:
-    """A world from its cylinders and the (m, 2) row, column of its path; metrics are computed."""
+def make_world(index: int, name: str, cylinders: Floats, cells: NDArray[np.integer], grid: Grid | None = None) -> World:
+    """A world from its cylinders and the (m, 2) row, column of its path; metrics are computed.
+
+    grid: (30, 30) occupancy where it is known, else it is read off the cylinders.
+    """
     aligned, official = path_frames(cells)
     for array in (cylinders, aligned, official):
         array.setflags(write=False)
-    metrics = difficulty(field_grid(cylinders), cells.astype(np.int64))
+    metrics = difficulty(field_grid(cylinders) if grid is None else grid, cells.astype(np.int64))
     set_index = index // WORLDS_PER_SET % SETS
     return World(index, name, cylinders, aligned, official, metrics, set_index)
 

@@ -47,9 +47,7 @@ class Bus(Protocol):
     def put(self, key: str, payload: bytes, attachment: bytes = b"", block: bool = False) -> None:
         """Send to all subscribers. Lost without an error while disconnected; `block` waits for slow ones."""
 
-    def get(
-        self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0
-    ) -> Message | None:
+    def get(self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0) -> Message | None:
         """First answer, or None: nobody serves the key (at once) or no answer came within `timeout_s`."""
 
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> Handle: ...

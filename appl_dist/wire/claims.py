@@ -32,9 +32,7 @@ class Claims:
         """Make `incarnation` the owner of `actor`; False while another live process is."""
         with self._lock:
             owner, spoke_s = self._owners.get(actor, (incarnation, 0.0))
-            if owner != incarnation and (
-                (actor, owner) in self._tokens or self._clock() - spoke_s < self._grace_s
-            ):
+            if owner != incarnation and ((actor, owner) in self._tokens or self._clock() - spoke_s < self._grace_s):
                 return False
             self._owners[actor] = (incarnation, self._clock())
             return True

@@ -42,7 +42,7 @@ class ControlServer:
         status: Callable[[], dict[str, Any]] | None = None,
     ) -> None:
         self.run_id = keys.check_name("run_id", run_id)
-        if len(config_json.encode()) > MAX_CONFIG_BYTES or not isinstance(json.loads(config_json), dict):
+        if len(config_json.encode()) > MAX_CONFIG_BYTES or _json_object(config_json) is None:
             raise ValueError(f"config_json: expected a JSON object of up to {MAX_CONFIG_BYTES} bytes")
         self._bus = bus
         self._lock = threading.Lock()
@@ -68,7 +68,13 @@ class ControlServer:
             self._bus.put(keys.state(self.run_id), encode_header(self._header), block=True)
 
     def _serve_status(self, query: Query) -> None:
-        query.reply(pack({"wire": WIRE_VERSION, "status": self._status() if self._status else {}}))
+        try:
+            status = self._status() if self._status else {}
+            answer = pack({"wire": WIRE_VERSION, "status": status})
+        except Exception as error:  # a viewer's question must not disturb learning; it gets the reason
+            log.debug("status", exc_info=True)
+            answer = pack({"wire": WIRE_VERSION, "status": {"error": repr(error)[:500]}})
+        query.reply(answer)
 
     def close(self) -> None:
         for handle in reversed(self._handles):
@@ -162,14 +168,18 @@ def fetch_run(bus: Bus, timeout_s: float = 10.0) -> tuple[str, dict[str, Any]]:
     UserError: no answer within `timeout_s`, or a learner of another wire version.
     """
     values = _ask(bus, keys.RUN, MAX_CONFIG_BYTES + MAX_HEADER_BYTES, timeout_s)
-    run_id, config = values.get("run"), values.get("config")
-    try:
-        parsed = json.loads(config) if isinstance(config, str) else None
-    except ValueError:
-        parsed = None
-    if not isinstance(run_id, str) or not keys.is_name(run_id) or not isinstance(parsed, dict):
+    run_id, config = values.get("run"), _json_object(values.get("config"))
+    if not isinstance(run_id, str) or not keys.is_name(run_id) or config is None:
         raise UserError(f"the learner describes its run as {run_id!r:.80}, which cannot be read")
-    return run_id, parsed
+    return run_id, config
+
+
+def _json_object(text: object) -> dict[str, Any] | None:
+    try:
+        value = json.loads(text) if isinstance(text, str) else None
+    except ValueError:
+        return None
+    return value if isinstance(value, dict) else None
 
 
 def fetch_status(bus: Bus, run_id: str, timeout_s: float = 5.0) -> dict[str, Any]:
@@ -188,8 +198,7 @@ def _ask(bus: Bus, key: str, limit: int, timeout_s: float) -> dict[str, Any]:
             break
         if time.monotonic() >= deadline:
             raise UserError(
-                f"no learner answered within {timeout_s:g} s; it is starting, gone, or does not let this "
-                "process ask"
+                f"no learner answered within {timeout_s:g} s; it is starting, gone, or does not let this process ask"
             )
         time.sleep(0.05)  # connected, but nobody serves the key yet
     try:

@@ -86,9 +86,7 @@ class MemorySession:
             for subscriber in self._hub.matching("subscribe", key):
                 _call(subscriber.callback, _Message(key, bytes(payload), bytes(attachment)))
 
-    def get(
-        self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0
-    ) -> Message | None:
+    def get(self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0) -> Message | None:
         servers = [] if self._closed else self._hub.matching("serve", key)
         if not servers:
             return None

@@ -87,7 +87,7 @@ def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
         )
     config: dict[str, Any] = {
         "mode": "router" if listen else "client",
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": transport,
     }
     if listen:
@@ -138,9 +138,7 @@ class Session:
         except zenoh.ZError as error:
             log.debug("put %s: %s", key, error)
 
-    def get(
-        self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0
-    ) -> Message | None:
+    def get(self, key: str, payload: bytes = b"", attachment: bytes = b"", timeout_s: float = 5.0) -> Message | None:
         try:
             replies = self._session.get(
                 key,
@@ -165,9 +163,7 @@ class Session:
         return _Handle(self._session.declare_subscriber(key, _guarded(receive)))
 
     def serve(self, key: str, callback: Callable[[Query], None]) -> Handle:
-        return _Handle(
-            self._session.declare_queryable(key, _guarded(lambda query: callback(_ReceivedQuery(query))))
-        )
+        return _Handle(self._session.declare_queryable(key, _guarded(lambda query: callback(_ReceivedQuery(query)))))
 
     def announce(self, key: str) -> Handle:
         return _Handle(self._session.liveliness().declare_token(key))
@@ -231,12 +227,7 @@ class _ReceivedQuery(_Received):
     def reply(self, payload: bytes, attachment: bytes = b"") -> None:
         try:
             with self._message as query:  # leaving the block tells the sender that no more answers come
-                query.reply(
-                    query.key_expr,
-                    payload,
-                    attachment=attachment or None,
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
+                query.reply(query.key_expr, payload, attachment=attachment or None)
         except Exception as error:  # the sender has gone, or a second answer
             log.debug("reply: %s", error)
 

@@ -50,9 +50,7 @@ class WireSettings:
             if path and not Path(path).is_file():
                 raise UserError(f"wire.{name}: no file at {path}")
         if match[1] == "tls" and not (self.tls_ca or self.tls_certificate):
-            raise UserError(
-                "wire.tls_ca: a tls endpoint needs it (on the learner: tls_certificate and tls_key)"
-            )
+            raise UserError("wire.tls_ca: a tls endpoint needs it (on the learner: tls_certificate and tls_key)")
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise UserError("wire.tls_certificate, wire.tls_key: give both or neither")
 

@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 
 _WAITING_PER_ACTOR = 2  # an actor has one upload under way; a second is its retry after a time-out
 _RETRY_S = 0.5
+_FAILED_RETRY_S = 2.0
 _LOGGED_SENDERS = 1024
 
 
@@ -39,7 +40,7 @@ class UploadSink(Protocol):
     """Where accepted rollouts go. Called from one thread, in order for each actor."""
 
     def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
-        """Store durably, then say so; or say why not."""
+        """Store durably, then say so; or say why not. ValueError: a rollout that can never be stored."""
 
     def expected_seq(self, actor_id: str) -> int:
         """The next sequence number of this actor."""
@@ -125,9 +126,11 @@ class UploadServer:
             try:
                 self._handle(query)
             except Exception as error:  # a full disk, say: nothing was acked, so the actor keeps the rollout
-                log.exception("upload of %s could not be stored", query.key)
+                if str(error) not in self._logged:  # it comes again with every retry
+                    self._logged.add(str(error))
+                    log.error("an upload could not be stored", exc_info=error)
                 self.counts["failed"] += 1
-                self._answer(query, Ack("busy", retry_s=5.0, reason=f"the learner failed: {error}"[:500]))
+                self._answer(query, Ack("busy", retry_s=_FAILED_RETRY_S, reason=f"the learner failed: {error}"[:500]))
 
     def _handle(self, query: Query) -> None:
         try:
@@ -140,7 +143,12 @@ class UploadServer:
         except ValueError as error:
             self._malformed(query, str(error))
             return
-        self._answer(query, self._judge(header, rollout))
+        try:
+            ack = self._judge(header, rollout)
+        except ValueError as error:  # the sink says that this rollout can never be stored
+            self._malformed(query, str(error))
+            return
+        self._answer(query, ack)
 
     def _judge(self, header: UploadHeader, rollout: Rollout | None) -> Ack:
         if header.run != self.run_id:
@@ -152,11 +160,9 @@ class UploadServer:
                     f"actor id {header.actor} is in use by another live process of run {self.run_id}; "
                     "give every actor its own id",
                 )
-            return Ack("stored", expected=self._sink.expected_seq(header.actor), epoch=self._epoch)
+            return Ack("welcome", expected=self._sink.expected_seq(header.actor), epoch=self._epoch)
         if header.epoch != self._epoch or not self._claims.holds(header.actor, header.incarnation):
-            return Ack(
-                "hello", epoch=self._epoch, reason="this learner does not know this process; say hello"
-            )
+            return Ack("hello", epoch=self._epoch, reason="this learner does not know this process; say hello")
         return self._sink.store(header, rollout)
 
     def _refusal(self, header: UploadHeader, reason: str) -> Ack:

@@ -46,7 +46,8 @@ class Uploader:
     """Uploads what is in `spool` as `actor_id`, from `start` to `close`.
 
     A refusal ends it: the spool is stopped with the reason, so the actor's next `put` raises it; what is
-    pending stays on disk. `counts`: sent, acked, duplicate, busy, unanswered, hello.
+    pending stays on disk. `counts`: welcome (hellos accepted), sent, acked, duplicate, busy, unanswered,
+    hello (sent back to say it again).
     timeout_s: how long to wait for one answer, s.
     """
 
@@ -70,6 +71,8 @@ class Uploader:
         self._timeout_s = timeout_s
         self._clock = clock
         self._epoch = 0
+        self._greeted = False
+        self._wait_s = _BACKOFF_S[0]
         self._closing = threading.Event()
         self._claim = bus.announce(keys.claim(run_id, actor_id, bus.identity))
         self._thread = threading.Thread(target=self._run, name="uploader", daemon=True)
@@ -80,12 +83,14 @@ class Uploader:
         UserError: refused, or no learner answered within `timeout_s`.
         """
         deadline = self._clock() + timeout_s
-        while not self._hello():
+        while not self._greeted:
+            self._greeted = self._hello()
             if self.refused:
                 raise UserError(self.refused)
             if self._clock() > deadline:
                 raise UserError(f"no learner of run {self.run_id} answered within {timeout_s:g} s")
-            self._closing.wait(0.1)
+            if not self._greeted:
+                self._closing.wait(0.1)
         self._thread.start()
 
     def close(self, drain_s: float = 0.0) -> bool:
@@ -98,46 +103,46 @@ class Uploader:
         self._claim.close()
         return drained
 
+    def step(self) -> float:
+        """One turn: greet the learner or upload the oldest rollout. Returns how long to wait next, s."""
+        if not self._greeted:
+            self._greeted = self._hello()
+            return 0.0 if self._greeted else self._back_off()
+        head = self._spool.peek(timeout_s=0.0)
+        if head is None:
+            return 0.0
+        ack = self._send(*head)
+        self.held = ack is not None and ack.status == "busy"
+        if ack is None:
+            return self._back_off()
+        self._wait_s = _BACKOFF_S[0]
+        if self.held:
+            return ack.retry_s
+        if ack.status in ("stored", "duplicate"):
+            self._spool.ack(head[0])
+        elif ack.status == "hello":
+            self._greeted = False
+        else:
+            self._refuse(ack.reason)
+        return 0.0
+
     def _run(self) -> None:
-        greeted = True
-        wait_s = _BACKOFF_S[0]
         try:
             while not self._closing.is_set() and not self.refused:
-                if not greeted:
-                    greeted = self._hello()
-                    if not greeted:
-                        self._closing.wait(wait_s)
-                        wait_s = min(2 * wait_s, _BACKOFF_S[1])
-                    continue
-                head = self._spool.peek(timeout_s=0.5)
-                if head is None:
-                    continue
-                ack = self._send(*head)
-                self.held = ack is not None and ack.status == "busy"
-                if ack is None:
-                    self._closing.wait(wait_s)
-                    wait_s = min(2 * wait_s, _BACKOFF_S[1])
-                    continue
-                wait_s = _BACKOFF_S[0]
-                if self.held:
-                    self._closing.wait(ack.retry_s)
-                    continue
-                if ack.status in ("stored", "duplicate"):
-                    self._spool.ack(head[0])
-                elif ack.status == "hello":
-                    greeted = False
-                else:
-                    self._refuse(ack.reason)
+                if not self._greeted or self._spool.peek(timeout_s=0.5) is not None:
+                    self._closing.wait(self.step())
         except Exception as error:  # what the disk says must reach the actor, whose next put raises it
             if not isinstance(error, UserError):
                 log.exception("uploading failed")
             self._refuse(str(error))
 
+    def _back_off(self) -> float:
+        wait_s, self._wait_s = self._wait_s, min(2 * self._wait_s, _BACKOFF_S[1])
+        return wait_s
+
     def _send(self, seq: int, blob: bytes) -> Ack | None:
         self.counts["sent"] += 1
-        header = UploadHeader(
-            self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, transitions_in(blob)
-        )
+        header = UploadHeader(self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, transitions_in(blob))
         ack = self._ask(header, blob)
         self.counts["unanswered" if ack is None else "acked" if ack.status == "stored" else ack.status] += 1
         return ack
@@ -148,12 +153,12 @@ class Uploader:
             self.run_id, self.actor_id, self._bus.identity, self._epoch, self._spool.oldest, 0, hello=True
         )
         ack = self._ask(header, b"")
-        self.counts["hello"] += 1
         if ack is None or ack.status == "busy":
             return False
-        if ack.status != "stored":
+        if ack.status != "welcome":
             self._refuse(ack.reason)
             return False
+        self.counts["welcome"] += 1
         if ack.expected < header.seq:
             log.warning(
                 "the learner came back without the %d rollouts it acked last of actor %s",

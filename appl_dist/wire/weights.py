@@ -113,9 +113,7 @@ class WeightsSubscriber:
         self._ask_now = threading.Event()
         self._closed = False
         # Subscribe first, then ask: nothing published in between is missed.
-        self._subscription = bus.subscribe(
-            keys.weights(run_id), lambda message: self._take(message, "received")
-        )
+        self._subscription = bus.subscribe(keys.weights(run_id), lambda message: self._take(message, "received"))
         self._watch = bus.watch(keys.alive(run_id, "learner", keys.ANY, keys.ANY), self._learner_seen)
         self._ask_now.set()
         self._thread = threading.Thread(target=self._poll, name="weights-subscriber", daemon=True)

@@ -20,6 +20,9 @@ typedef struct {
     double goal_x, goal_y;
     int plan_count;
     double *plan;            // (path_capacity + 1, 2) m, odom: robot first
+    float bound;             // the wave spreads only where it can still matter: see navfn.c
+    float goal_potential;    // of the last plan, 0 for none
+    int goal_cx, goal_cy;
     long cells;              // cells expanded by the wave
     uint8_t cost_of[256];
     float step_of[256];      // cost * 1/sqrt(2)

@@ -6,7 +6,7 @@ import pytest
 
 from appl_dist.actor.protocol import PROTOCOLS
 
-WORLD = SimpleNamespace(path=np.array([[-1.275, 5.175], [-2.0, 7.0], [-3.075, 9.525]]))
+WORLD = SimpleNamespace(path_official=np.array([[-1.275, 5.175], [-2.0, 7.0], [-3.075, 9.525]]))
 
 
 def test_appl_starts_before_the_paths_first_cell_and_aims_past_its_end() -> None:
