@@ -132,10 +132,13 @@ public:
         inflation_run(&m.inflate, &n_->scratch, m.master, m.frame.w, m.frame.h, 0, 0, m.frame.w, m.frame.h);
         if (!local) navfn_sync(&n_->plan, m.master, {0, 0, m.frame.w, m.frame.h});
     }
-    nb::object plan_between(const Array &start, const Array &goal) {
+    // `whole`: the wave covers all that NavFn's covers, not only what the plan needs.
+    nb::object plan_between(const Array &start, const Array &goal, bool whole) {
         const double *s = finite(start, "start", 2), *g = finite(goal, "goal", 2);
         n_->plan.fresh = false;
+        n_->plan.whole = whole;
         navfn_plan(&n_->plan, &n_->global.frame, n_->global.master, s[0], s[1], g[0], g[1]);
+        n_->plan.whole = false;
         const size_t count = static_cast<size_t>(n_->plan.plan_count);
         return owned(std::vector<double>(n_->plan.plan, n_->plan.plan + 2 * count), {count, 2});
     }

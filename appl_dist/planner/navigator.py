@@ -134,6 +134,12 @@ class Navigator:
         return points
 
     @property
+    def best_cost(self) -> float | None:
+        """Cost of the roll-out the last control cycle chose; None when it chose none."""
+        cost = float(self._planner.best_sample()[2])
+        return None if math.isnan(cost) else cost
+
+    @property
     def rollouts(self) -> int:
         """Samples the last control cycle evaluated."""
         return int(self._planner.rollouts)

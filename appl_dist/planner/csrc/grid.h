@@ -77,9 +77,9 @@ static inline double yaw_through_quaternion(double yaw) {
     return atan2(2 * (w * z), w * w - z * z);
 }
 
-// angles::shortest_angular_distance
+// angles::shortest_angular_distance, of angles 1.9.13 and later
 static inline double shortest_angle(double from, double to) {
-    const double two_pi = 2.0 * 3.14159265358979323846;
-    double a = fmod(fmod(to - from, two_pi) + two_pi, two_pi);
-    return a > 3.14159265358979323846 ? a - two_pi : a;
+    const double pi = 3.14159265358979323846;
+    const double a = fmod(to - from + pi, 2.0 * pi);
+    return a <= 0.0 ? a + pi : a - pi;
 }

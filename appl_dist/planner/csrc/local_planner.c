@@ -106,6 +106,7 @@ bool local_planner_command(local_planner *l, const grid_frame *frame, const uint
         if (fabs(shortest_angle(pose[2], goal_yaw)) <= s->yaw_goal_tolerance) {
             l->rotating_to_goal = false;
             l->reached_goal = true;
+            l->local_count = 0;
             return true;
         }
         find_best(l, pose, v, w);  // for the state it leaves behind; the command comes from below

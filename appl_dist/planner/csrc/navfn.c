@@ -130,7 +130,7 @@ static void propagate_to_goal(navfn *n, int start, int goal) {
     n->goal_cx = goal % n->w, n->goal_cy = goal / n->w;
     const float dx = (float)(start % n->w - n->goal_cx), dy = (float)(start / n->w - n->goal_cy);
     const float guess = n->goal_potential > 0 ? n->goal_potential + 300.0f : 56.0f * sqrtf(dx * dx + dy * dy);
-    n->bound = guess + BOUND_MARGIN;
+    n->bound = n->whole ? POTENTIAL_NONE : guess + BOUND_MARGIN;
     n->cells = 0;
     for (;;) {
         propagate(n, start, goal);
@@ -152,7 +152,7 @@ static void gradient(const navfn *n, int i, float *gx, float *gy) {
     if (p[i + 1] < POTENTIAL_NONE) dx += here - p[i + 1];
     if (p[i - n->w] < POTENTIAL_NONE) dy += p[i - n->w] - here;
     if (p[i + n->w] < POTENTIAL_NONE) dy += here - p[i + n->w];
-    const float length = sqrtf(dx * dx + dy * dy);
+    const float length = hypotf(dx, dy);
     if (!(length > 0)) return;
     const float scale = (float)(1.0 / length);
     *gx = scale * dx;
@@ -161,7 +161,8 @@ static void gradient(const navfn *n, int i, float *gx, float *gy) {
 
 static const int ring_x[8] = {-1, 0, 1, -1, 1, -1, 0, 1}, ring_y[8] = {-1, -1, -1, 0, 0, 1, 1, 1};
 
-// NavFn::calcPath: half-cell steps down the gradient, cell steps where the wave's edge is near. 0 points: no path.
+// NavFn::calcPath: half-cell steps down the gradient, cell steps where the wave's edge is near. Where it gives up,
+// NavfnROS uses the points found so far all the same.
 static int follow_gradient(navfn *n, int start, int goal) {
     const int w = n->w, cells = n->w * n->h;
     const float *p = n->potential;
@@ -175,17 +176,17 @@ static int follow_gradient(navfn *n, int start, int goal) {
             n->path_y[count] = (float)(start / w);
             return count + 1;
         }
-        if (at < w || at > cells - w) return 0;
+        if (at < w || at > cells - w) return count;
         n->path_x[count] = (float)(at % w) + dx;
         n->path_y[count] = (float)(at / w) + dy;
         ++count;
         bool edge = count > 2 && n->path_x[count - 1] == n->path_x[count - 3] &&
                     n->path_y[count - 1] == n->path_y[count - 3];  // swinging between two points
-        if (at == w || at == cells - w) return 0;  // a corner of the ring: no eight neighbours
+        if (at == w || at == cells - w) return count;  // a corner of the ring: no eight neighbours
         edge = edge || p[at] >= POTENTIAL_NONE;
         for (int k = 0; k < 8; ++k) edge = edge || p[at + ring_y[k] * w + ring_x[k]] >= POTENTIAL_NONE;
         if (edge) {
-            if (p[at] >= POTENTIAL_NONE) return 0;
+            if (p[at] >= POTENTIAL_NONE) return count;
             int lowest = (int)p[at], best = at;
             for (int k = 0; k < 8; ++k) {
                 const int i = at + ring_y[k] * w + ring_x[k];
@@ -202,8 +203,8 @@ static int follow_gradient(navfn *n, int start, int goal) {
         const float x = (float)((1.0 - dy) * x1 + dy * x2);
         const float y1 = (float)((1.0 - dx) * gy[0] + dx * gy[1]), y2 = (float)((1.0 - dx) * gy[2] + dx * gy[3]);
         const float y = (float)((1.0 - dy) * y1 + dy * y2);
-        if (x == 0 && y == 0) return 0;
-        const float scale = 0.5f / sqrtf(x * x + y * y);
+        if (x == 0 && y == 0) return count;
+        const float scale = 0.5f / hypotf(x, y);
         dx += x * scale;
         dy += y * scale;
         if (dx > 1.0) ++at, dx = (float)(dx - 1.0);
@@ -211,7 +212,7 @@ static int follow_gradient(navfn *n, int start, int goal) {
         if (dy > 1.0) at += w, dy = (float)(dy - 1.0);
         if (dy < -1.0) at -= w, dy = (float)(dy + 1.0);
     }
-    return 0;
+    return count;
 }
 
 bool navfn_plan(navfn *n, const grid_frame *g, uint8_t *master, double start_x, double start_y, double goal_x,

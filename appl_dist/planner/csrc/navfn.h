@@ -20,6 +20,7 @@ typedef struct {
     double goal_x, goal_y;
     int plan_count;
     double *plan;            // (path_capacity + 1, 2) m, odom: robot first
+    bool whole;              // no bound: every potential is NavFn's
     float bound;             // the wave spreads only where it can still matter: see navfn.c
     float goal_potential;    // of the last plan, 0 for none
     int goal_cx, goal_cy;

@@ -124,6 +124,8 @@ static void lay_out(navigator *n, const planner_settings *s, arena *a) {
     n->local_plan.plan.y = GRAB(a, double, plan->path_capacity + 1);
     n->seen.x = GRAB(a, float, s->beams);
     n->seen.y = GRAB(a, float, s->beams);
+    n->beam_cos = GRAB(a, double, s->beams);
+    n->beam_sin = GRAB(a, double, s->beams);
     lay_out_rollouts(&n->local_plan.rollouts, s, local, local, a);
 }
 
@@ -147,6 +149,10 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
     r->set = &n->set;
     r->shape = n->shape;
     r->near_radius = (int)ceil(n->shape.reach / set->resolution_m) + 1;
+    for (int i = 0; i < (int)set->beams; ++i) {
+        const double angle = -set->angle_max_rad + i * (2 * set->angle_max_rad / ((int)set->beams - 1));
+        n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);
+    }
     navfn_init(&n->plan);
     navigator_set_parameters(n, par);
     costmap_clear(&n->local, 0, 0);
@@ -191,21 +197,21 @@ void navigator_set_parameters(navigator *n, const planner_parameters *par) {
                       n->set.resolution_m);
 }
 
+// As the scan reaches the maps in ROS: points in the laser's frame as float32 (LaserProjection), then moved to odom
+// and rounded to float32 again.
 void navigator_add_scan(navigator *n, const float *ranges, const double pose[3]) {
-    const double c = cos(pose[2]), s = sin(pose[2]);
-    const int beams = (int)n->set.beams;
-    const double first = -n->set.angle_max_rad, step = 2 * n->set.angle_max_rad / (beams - 1);
     observation *o = &n->seen;
     o->count = 0;
     if (!isfinite(pose[0]) || !isfinite(pose[1]) || !isfinite(pose[2])) return;
+    const double c = cos(pose[2]), s = sin(pose[2]);
     o->ox = pose[0] + n->set.laser_x_m * c;
     o->oy = pose[1] + n->set.laser_x_m * s;
-    for (int i = 0; i < beams; ++i) {
+    for (int i = 0; i < (int)n->set.beams; ++i) {
         const double r = ranges[i];
         if (!(r > 0 && r < 1e6)) continue;
-        const double a = pose[2] + first + i * step;
-        o->x[o->count] = (float)(o->ox + r * cos(a));
-        o->y[o->count] = (float)(o->oy + r * sin(a));
+        const float x = (float)(r * n->beam_cos[i]), y = (float)(r * n->beam_sin[i]);
+        o->x[o->count] = (float)(o->ox + (x * c - y * s));
+        o->y[o->count] = (float)(o->oy + (x * s + y * c));
         o->count += 1;
     }
 }

@@ -34,6 +34,7 @@ typedef struct {
     navfn plan;
     local_planner local_plan;
     observation seen;
+    double *beam_cos, *beam_sin;  // (beams) directions in the laser's frame
     double goal[3];         // m, m, rad; odom
     navigator_state state;
     recovery_reason reason;

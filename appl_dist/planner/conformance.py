@@ -1,0 +1,135 @@
+"""`appl-dist conformance FILE…`: replay vectors recorded from the real ROS code and count what is equal.
+
+Kinds are told by content: trajectory scenes (tp.jsonl[.gz]), their grids (tp_grids.npz, needs the scenes
+beside it), inflation.npz, navfn.npz, closed-loop episodes (sim.jsonl[.gz], with sim_full.npz beside it if
+there). Exit status 0: everything equal; 1: something differs; 2: a file that cannot be used.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import sys
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appl_dist.errors import UserError
+from appl_dist.planner import vectors
+from appl_dist.planner.vectors import Record, Tally
+
+KINDS = "tp.jsonl.gz, tp_grids.npz, inflation.npz, navfn.npz or sim.jsonl.gz"
+_BROKEN = (OSError, EOFError, ValueError, KeyError, IndexError, TypeError, zlib.error, zipfile.BadZipFile)
+
+
+def main(paths: list[str]) -> int:
+    """Check every file and print its counts; the exit status."""
+    status = 0
+    try:
+        if not paths:
+            raise UserError(f"conformance: no file given; expected {KINDS}")
+        for path in paths:
+            status = max(status, _check(Path(path)))
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return status
+
+
+def _check(path: Path) -> int:
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; expected {KINDS}")
+    try:
+        tallies = list(_tallies(path))
+    except _BROKEN as error:
+        raise UserError(f"{path}: broken or not a vector file ({type(error).__name__}: {error})") from error
+    if not any(t.total for t in tallies):
+        raise UserError(f"{path}: holds nothing to compare")
+    print(f"{path.name}")
+    for t in tallies:
+        unit = f" {t.unit}" if t.unit and t.difference else ""
+        print(f"  {t.equal} of {t.total} {t.what} equal, largest difference {t.difference:.3g}{unit}")
+    return 0 if all(t.equal == t.total for t in tallies) else 1
+
+
+def _tallies(path: Path) -> Iterator[Tally]:
+    with path.open("rb") as file:
+        magic = file.read(2)
+    if magic == b"PK":
+        with np.load(path, allow_pickle=False) as data:
+            yield from _npz_tallies(path, data)
+        return
+    records = _records(path)
+    first = next(records, None)
+    if not isinstance(first, dict):
+        raise UserError(f"{path}: not a vector file; expected {KINDS}")
+    everything = _chain(first, records)
+    scene = first.get("scene")
+    if isinstance(scene, dict) and "lethal" in scene and "out_cells" in first:
+        yield from vectors.trajectory_scenes(everything)
+    elif isinstance(first.get("episode"), dict) and "cyl" in first["episode"] and "out" in first:
+        yield from _episodes(path, everything)
+    elif isinstance(scene, dict) and "dwa_params" in scene:
+        raise UserError(f"{path}: scenes of dwa_local_planner, which is not a supported planner yet")
+    else:
+        raise UserError(f"{path}: unknown kind of vectors; expected {KINDS}")
+
+
+def _npz_tallies(path: Path, data: Any) -> Iterator[Tally]:
+    names = set(data.files)
+    if {"path_grid", "goal_grid", "id"} <= names:
+        scenes = _beside(path, "tp_grids", "tp", ".jsonl.gz", ".jsonl")
+        if scenes is None:
+            raise UserError(f"{path}: wants the scenes it belongs to, tp.jsonl.gz, beside it")
+        yield from vectors.wavefront_grids(data, {r["scene"]["id"]: r for r in _records(scenes)})
+    elif {"lethal", "costmap", "inflation_radius", "inscribed_radius"} <= names:
+        yield from vectors.inflated_maps(data)
+    elif {"plan_xy", "plan_len", "lethal_flat", "start", "goal"} <= names:
+        yield from vectors.global_plans(data)
+    elif any(n.startswith("scan_") for n in names):
+        episodes = _beside(path, "sim_full", "sim", ".jsonl.gz", ".jsonl")
+        if episodes is None:
+            raise UserError(f"{path}: wants the episodes it belongs to, sim.jsonl.gz, beside it")
+        with_scans = (r for r in _records(episodes) if f"scan_{r['episode']['id']}" in names)
+        yield from vectors.episodes(with_scans, data)
+    else:
+        raise UserError(f"{path}: unknown kind of vectors; expected {KINDS}")
+
+
+def _episodes(path: Path, records: Iterator[Record]) -> Iterator[Tally]:
+    full = _beside(path, "sim", "sim_full", ".npz")
+    if full is None:
+        yield from vectors.episodes(records, None)
+        return
+    with np.load(full, allow_pickle=False) as data:
+        yield from vectors.episodes(records, data)
+
+
+def _records(path: Path) -> Iterator[Record]:
+    with path.open("rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+    with gzip.open(path, "rt") if packed else path.open("rt") as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                yield json.loads(line)
+            except json.JSONDecodeError as error:
+                raise UserError(f"{path}: line {number} is not JSON ({error.msg}); expected {KINDS}") from error
+
+
+def _chain(first: Record, rest: Iterator[Record]) -> Iterator[Record]:
+    yield first
+    yield from rest
+
+
+def _beside(path: Path, own: str, other: str, *endings: str) -> Path | None:
+    """The file that goes with `path`: same folder, name with `own` replaced by `other`."""
+    stem = path.name.removesuffix(".gz").removesuffix(".jsonl").removesuffix(".npz")
+    for ending in endings:
+        candidate = path.with_name(stem.replace(own, other, 1) + ending)
+        if candidate != path and candidate.is_file():
+            return candidate
+    return None
