@@ -20,7 +20,8 @@ from stable_baselines3 import TD3 as BaselineTD3
 from stable_baselines3.common.logger import Logger
 
 from appl_dist.learner.replay import Replay
-from appl_dist.learner.td3 import TD3, TD3Settings
+from appl_dist.learner.settings import TD3Settings
+from appl_dist.learner.td3 import TD3
 from appl_dist.spec import OBSERVATION_SIZE, Rollout
 
 UPDATES = 6  # a turn; a multiple of the policy delay

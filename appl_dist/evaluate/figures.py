@@ -7,8 +7,8 @@ also differ in sign, lines in dash. matplotlib is imported on first use and neve
 from __future__ import annotations
 
 import contextlib
-import csv
 import io
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -122,23 +122,22 @@ def learning_figure(
 
 
 def read_metrics(path: str | Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Arrays for `learning_figure` from a training run's metrics.csv: transitions, time_s and success.
+    """Arrays for `learning_figure` from a training run's metrics.jsonl: transitions, time_s and success.
 
-    Reads its rows episode/time_s and episode/success: running means, in which failures count already. A last
+    Reads its entries episode/time_s and episode/success: running means, in which failures count already. A last
     line cut short is skipped.
     """
     try:
         lines = Path(path).read_text().splitlines()
     except OSError as error:
-        raise UserError(f"{path}: {error.strerror}; give the metrics.csv of a training run") from None
-    found: dict[float, dict[str, float]] = {}
-    for line in csv.reader(lines[1:]):
-        with contextlib.suppress(ValueError, IndexError):
-            if line[2] in ("episode/time_s", "episode/success"):
-                found.setdefault(float(line[1]), {})[line[2]] = float(line[3])
-    rows = [(step, v["episode/time_s"], v["episode/success"]) for step, v in found.items() if len(v) == 2]
+        raise UserError(f"{path}: {error.strerror}; give the metrics.jsonl of a training run") from None
+    rows = []
+    for line in lines:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            record = json.loads(line)
+            rows.append(tuple(float(record[k]) for k in ("step", "episode/time_s", "episode/success")))
     if not rows:
-        raise UserError(f"{path}: has no rows episode/time_s and episode/success; nothing to draw")
+        raise UserError(f"{path}: has no line with episode/time_s and episode/success; nothing to draw")
     transitions, time_s, success = np.array(sorted(rows, key=lambda r: r[0])).T
     return transitions, time_s, success
 

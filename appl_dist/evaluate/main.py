@@ -57,7 +57,7 @@ def evaluate(
     methods: (label, policy specification); the labels "default" and "fixed" mark the baselines every
     table compares with. environment: further arguments of `NavigationEnv` (timing, planner …). groups:
     world indices by name of the group reported together (all: one group). workers: processes, 0 for
-    none. metrics: metrics.csv of a training run, for the learning curve. Raises UserError.
+    none. metrics: metrics.jsonl of a training run, for the learning curve. Raises UserError.
     """
     if trials_per_world < 1:
         raise UserError(f"trials: got {trials_per_world}; allowed 1 or more a world")

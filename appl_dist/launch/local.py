@@ -202,7 +202,7 @@ def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
         environment=environment_arguments(settings),
         workers=settings.evaluation.workers or cores(),
         seed=settings.run.seed,
-        metrics=folder / "metrics.csv",
+        metrics=folder / "metrics.jsonl",
         console=console,
     )
     sys.stdout.flush()

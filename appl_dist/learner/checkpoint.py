@@ -34,7 +34,7 @@ _PATTERN = "checkpoint-*.safetensors"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """One file's contents. `extra` is the caller's own, as given to `CheckpointWriter.save`."""
+    """One file's contents. `extra` is the caller's own, as given to `Checkpoints.save`."""
 
     path: Path
     tensors: dict[str, Tensor]
@@ -56,8 +56,8 @@ class Checkpoint:
         return self.extra
 
 
-class CheckpointWriter:
-    """Writes checkpoints into `folder` and keeps the newest `keep`. One `save` at a time."""
+class Checkpoints:
+    """The checkpoints in one folder, the newest `keep` of them."""
 
     def __init__(self, folder: str | Path, keep: int = 2) -> None:
         if keep < 1:
@@ -66,7 +66,6 @@ class CheckpointWriter:
         self._buffers: dict[str, Tensor] = {}
         self._thread: threading.Thread | None = None
         self._error: Exception | None = None
-        self.last: Path | None = newest(self.folder)  # the last good checkpoint
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as e:
@@ -109,6 +108,22 @@ class CheckpointWriter:
             error, self._error = self._error, None
             raise error
 
+    def newest(self) -> Path | None:
+        """The last good checkpoint, None before the first."""
+        return max(self.folder.glob(_PATTERN), default=None)
+
+    def load(self, learner: TD3, rng: np.random.Generator) -> dict[str, Any] | None:
+        """Put the newest checkpoint back into `learner` and `rng`; its `extra`, None before the first.
+
+        UserError if the file is damaged or does not fit.
+        """
+        path = self.newest()
+        return None if path is None else load(path).restore(learner, rng)
+
+    def close(self) -> None:
+        """Wait for the write under way; raises what it raised."""
+        self.wait()
+
     def _write(self, path: Path, header: str) -> None:
         tmp = path.with_suffix(".tmp")
         try:
@@ -119,12 +134,12 @@ class CheckpointWriter:
             with open(tmp, "rb") as file:
                 os.fsync(file.fileno())
             os.replace(tmp, path)
-            self.last = path
             for old in sorted(self.folder.glob(_PATTERN))[: -self._keep]:
                 old.unlink()
         except (OSError, SafetensorError) as e:
             tmp.unlink(missing_ok=True)
-            self._error = UserError(f"{path}: cannot be written: {e}; the last good checkpoint is {self.last}")
+            last = self.newest() or "none"
+            self._error = UserError(f"{path}: cannot be written: {e}; the last good checkpoint is {last}")
         except Diverged as e:
             self._error = e
 
@@ -133,11 +148,6 @@ def _settings(learner: TD3) -> dict[str, Any]:
     """The settings in force as JSON values."""
     plain: dict[str, Any] = json.loads(json.dumps(asdict(learner.settings)))
     return {**plain, "precision": learner.precision}
-
-
-def newest(folder: str | Path) -> Path | None:
-    """The newest checkpoint in `folder`, None if there is none."""
-    return max(Path(folder).glob(_PATTERN), default=None)
 
 
 def load(path: str | Path) -> Checkpoint:

@@ -1,7 +1,7 @@
 """The learner process: takes rollouts in, trains, sends policies out, keeps what a restart needs.
 
 In: rollouts over the wire. Out: policies over the wire; in the run folder `policy.safetensors` (the newest),
-`checkpoints/`, `replay/`, `metrics.csv` and TensorBoard scalars.
+`checkpoints/`, `replay/`, `metrics.jsonl` and TensorBoard scalars.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from appl_dist.errors import UserError
-from appl_dist.learner import checkpoint
+from appl_dist.learner.checkpoint import Checkpoints
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.ingest import Ingest
 from appl_dist.learner.limiter import RateLimiter
@@ -37,7 +37,7 @@ from appl_dist.wire.weights import WeightsPublisher
 log = logging.getLogger(__name__)
 
 POLICY_FILE = "policy.safetensors"
-# What of the status goes to TensorBoard and metrics.csv, and its name there.
+# What of the status goes to TensorBoard and metrics.jsonl, and its name there.
 SCALARS = {
     "success": "episode/success",
     "time_s": "episode/time_s",
@@ -78,11 +78,10 @@ class Learner:
         self.replay = Replay(run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma)
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
-        self.checkpoints = checkpoint.CheckpointWriter(run.folder / "checkpoints")
+        self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
         self.epoch = self._resume()
         self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
-        self._gate = _Gate(self.limiter)
         self.statistics = EpisodeStatistics(run.failed_time_s)
         self.metrics = MetricsWriter(run.folder)
         self._started = time.monotonic()
@@ -92,7 +91,7 @@ class Learner:
         self._saving = _Every(settings.checkpoint_every_s)
         self._last: dict[str, float] = {}
         self._status = self._status_now()
-        self.ingest = Ingest(self.replay, self._gate, run.run_id)
+        self.ingest = Ingest(self.replay, self.limiter, run.run_id)
         self.publisher = WeightsPublisher(bus, run.run_id)
         self._publish()
         self.roster = Roster(bus, run.run_id)
@@ -122,7 +121,7 @@ class Learner:
             self._saving.run(self.save)
         except Diverged as error:
             raise UserError(
-                f"training diverged: {error}; the last good checkpoint is {self.checkpoints.last or 'none'}, "
+                f"training diverged: {error}; the last good checkpoint is {self.checkpoints.newest() or 'none'}, "
                 "resume from it with other learner settings"
             ) from None
         return may_learn
@@ -130,7 +129,7 @@ class Learner:
     def end(self) -> None:
         """Stop the actors, take what they still send, and keep the final policy."""
         self.control.set_state("stop")
-        self._gate.ended = True
+        self.limiter.open()
         deadline = time.monotonic() + DRAIN_S
         while time.monotonic() < deadline and any(m.role == "actor" and m.alive for m in self.roster.members()):
             time.sleep(0.05)
@@ -147,7 +146,15 @@ class Learner:
 
     def close(self) -> None:
         """Let go of the wire and the files."""
-        for part in (self.control, self.server, self.publisher, self.roster, self.metrics, self.replay):
+        for part in (
+            self.control,
+            self.server,
+            self.publisher,
+            self.roster,
+            self.checkpoints,
+            self.metrics,
+            self.replay,
+        ):
             part.close()
 
     @property
@@ -160,9 +167,9 @@ class Learner:
         """Load the newest checkpoint, if any; this process's epoch, one more than the last one's."""
         file = self.run_info.folder / "epoch.json"
         epoch = json.loads(file.read_text())["epoch"] + 1 if file.exists() else 1
-        newest = checkpoint.newest(self.checkpoints.folder)
-        if newest is not None:
-            self.version = int(checkpoint.load(newest).restore(self.td3, self.rng)["version"])
+        found = self.checkpoints.load(self.td3, self.rng)
+        if found is not None:
+            self.version = int(found["version"])
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
         file.write_text(json.dumps({"epoch": epoch}))
         return int(epoch)
@@ -177,7 +184,6 @@ class Learner:
         batch = self.replay.sample(self.settings.td3.batch_size, self.rng)
         detail = self.td3.updates % self.settings.detail_every == 0
         metrics = self.td3.update(batch, detail)
-        self.limiter.count_sample(self.settings.td3.batch_size)
         if detail:
             self._last.update(read(metrics))
 
@@ -250,23 +256,11 @@ class _Sink:
     def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
         ack = self._ingest.store(header, rollout)
         if ack.status == "stored":
-            self._learner.limiter.count_insert(len(rollout))
             self._learner.statistics.add(rollout)
         return ack
 
     def expected_seq(self, actor_id: str) -> int:
         return self._ingest.expected_seq(actor_id)
-
-
-class _Gate:
-    """The limiter as ingest sees it; once the run has ended everything still on its way is let in."""
-
-    def __init__(self, limiter: RateLimiter) -> None:
-        self._limiter = limiter
-        self.ended = False
-
-    def may_insert(self, transitions: int) -> bool:
-        return self.ended or self._limiter.may_insert(transitions)
 
 
 class _Every:

@@ -52,7 +52,7 @@ class LearnerSettings:
     """The learner process around `TD3`.
 
     gamma, n_step: of the n-step returns that replay computes. replay_capacity: transitions.
-    samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many samples either
+    samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many transitions either
     side may run ahead. min_transitions: collected before learning starts. Periods in seconds; detail_every in updates.
     """
 
@@ -61,7 +61,7 @@ class LearnerSettings:
     n_step: int = 1
     replay_capacity: int = 1_000_000
     samples_per_insert: float = 256.0
-    samples_tolerance: int = 256_000
+    samples_tolerance: int = 1000
     min_transitions: int = 1000
     publish_every_s: float = 1.0
     report_every_s: float = 1.0

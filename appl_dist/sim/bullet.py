@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import pybullet as p
 
-from .robot import BASE_HEIGHT_M
-from .worlds import Floats
+from appl_dist.sim.robot import BASE_HEIGHT_M
+from appl_dist.sim.worlds import Floats
 
 URDF = Path(__file__).with_name("jackal.urdf")
 CYLINDERS_PER_BODY = 16  # the most createCollisionShapeArray takes
@@ -52,6 +52,8 @@ class BulletBody:
         self._dt_s = 0.0
         self._wheels = (0.0, 0.0)
         self.tilt_rad = 0.0
+        self.touching = False  # an obstacle, in the last step
+        self.held = False  # contacts, not the tyre model, have the last word on where the robot is
         self._vertical = (0.0, 0.0, 0.0)  # vz and the roll and pitch rates, world frame
 
     def close(self) -> None:
@@ -96,6 +98,8 @@ class BulletBody:
         self._dt_s = 0.0
         self._wheels = (0.0, 0.0)
         self.tilt_rad = 0.0
+        self.touching = False  # an obstacle, in the last step
+        self.held = False  # contacts, not the tyre model, have the last word on where the robot is
         self._vertical = (0.0, 0.0, 0.0)
         self._place(pose, BASE_HEIGHT_M + self._com[2])
 
@@ -132,11 +136,11 @@ class BulletBody:
     def step(self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float) -> Motion:
         """Move for dt_s from `pose` (x, y, yaw) with base_link's mean velocity (vx, vy, yaw rate), world frame.
 
-        wheels: angular speeds of the left and the right pair, rad/s. A body that lies flat starts exactly at
-        `pose`; a tilted one stays where it is.
+        wheels: angular speeds of the left and the right pair, rad/s. A body that is held by a contact or tilted
+        goes on from where it is; otherwise it starts exactly at `pose`, flat.
         """
         client, robot = self._client, self._robot
-        if self.tilt_rad < FLAT_RAD:
+        if not self.held:
             height = p.getBasePositionAndOrientation(robot, physicsClientId=client)[0][2]
             self._place(pose, height)
             self._vertical = (self._vertical[0], 0.0, 0.0)
@@ -145,6 +149,8 @@ class BulletBody:
         (ax, ay, az), (gx, gy, gz) = p.getBaseVelocity(robot, physicsClientId=client)
         self._vertical = (az, gx, gy)
         self.tilt_rad = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (qx * qx + qy * qy))))
+        self.touching = self._touches()
+        self.held = self.touching or self.tilt_rad > FLAT_RAD
         yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
         yaw += 2.0 * math.pi * round((pose[2] - yaw) / (2.0 * math.pi))  # the yaw outside is not wrapped
         rx, ry = self._com_offset(yaw)
@@ -179,7 +185,7 @@ class BulletBody:
         p.stepSimulation(physicsClientId=client)
         return ux, uy
 
-    def touches(self) -> bool:
+    def _touches(self) -> bool:
         """Whether the last step's contacts hold one between the robot and an obstacle."""
         for contact in p.getContactPoints(bodyA=self._robot, physicsClientId=self._client):
             # [2] the other body, [8] distance, [9] normal force; bullet also lists pairs that are only near.

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import UserError
-from .generate import generate_world, generate_worlds
-from .metrics import NAMES, Grid, c_space
-from .worlds import FIELD_ORIGIN, RADIUS_M, SETS, World, field_grid, load_worlds, path_cells
+from appl_dist.errors import UserError
+from appl_dist.sim.generate import generate_world, generate_worlds
+from appl_dist.sim.metrics import NAMES, Grid, c_space
+from appl_dist.sim.worlds import FIELD_ORIGIN, RADIUS_M, SETS, World, field_grid, load_worlds, path_cells
 
 
 def worlds_main(argv: list[str]) -> int:

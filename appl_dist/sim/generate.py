@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _native
-from .metrics import GRID, Grid, c_space, neighbours
-from .worlds import CELL_M, FIELD_ORIGIN, RADIUS_M, SETS, WORLDS_PER_SET, Floats, World, make_world
+from appl_dist._native import first_crossing
+from appl_dist.sim.metrics import GRID, Grid, c_space, neighbours
+from appl_dist.sim.worlds import CELL_M, FIELD_ORIGIN, RADIUS_M, SETS, WORLDS_PER_SET, Floats, World, make_world
 
 FILLS = (0.15, 0.20, 0.25, 0.30)  # chance of a cell to start filled
 SMOOTHINGS = (2, 3, 4)  # passes of the automaton
@@ -45,7 +45,7 @@ def generate_world(index: int, seed: int = 0) -> World:
         grids[:, [0, -1]] = True
         grids = smooth(grids, SMOOTHINGS[smoothing])
         blocked = c_space(grids)
-        found = _native.first_crossing(blocked.view(np.uint8), region)
+        found = first_crossing(blocked.view(np.uint8), region)
         if found < 0:
             continue
         start, goal = (int(rng.choice(np.flatnonzero(region[:, column]))) for column in (0, -1))

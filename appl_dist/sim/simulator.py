@@ -14,19 +14,16 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _native
-from .bullet import FLAT_RAD, BulletBody
-from .robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
-from .worlds import Floats, World
+from appl_dist._native import Vehicle
+from appl_dist.sim.bullet import BulletBody
+from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
+from appl_dist.sim.worlds import Floats, World
 
 OPEN_MS = 40  # pybullet step where no obstacle is in reach
 CONTACT_MS = 4  # and where one is: 8 mm at full speed
 NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
 CLEARANCE_LIMIT_M = 100.0
-
-_ROBOT = RobotSettings()
-_LIDAR = LidarSettings()
 
 
 class Simulator:
@@ -35,9 +32,9 @@ class Simulator:
     Deterministic: the same world, seed, pose and commands give the same bits, whatever was simulated before.
     """
 
-    def __init__(self, robot: RobotSettings = _ROBOT, lidar: LidarSettings = _LIDAR) -> None:
+    def __init__(self, robot: RobotSettings = RobotSettings(), lidar: LidarSettings = LidarSettings()) -> None:  # noqa: B008
         self.robot, self.lidar = robot, lidar
-        self._vehicle = _native.Vehicle(robot.native())
+        self._vehicle = Vehicle(robot.native())
         self._caster = lidar.native()
         self._half_separation = 0.5 * robot.native().separation
         self._body = None if robot.drive == "ideal" else BulletBody()
@@ -78,7 +75,7 @@ class Simulator:
             self._body.rebuild(self._cylinders, self._vehicle.pose)
         self._synced = self._vehicle.pose
         self._pending_ms = 0
-        self._held = False  # pybullet, not the tyre model, has the last word on where the robot is
+        self._held = False  # by a contact
         self._ready = True
         self.collided = False  # since reset
         self.in_collision = False  # now
@@ -143,8 +140,8 @@ class Simulator:
         before = vehicle.pose
         velocity = vehicle.predict(ms)
         motion = body.step(before, velocity, self._wheel_rates(), 1e-3 * ms)
-        self.in_collision = body.touches()
-        self._held = self.in_collision or body.tilt_rad > FLAT_RAD
+        self.in_collision = body.touching
+        self._held = body.held
         if self._held:
             vehicle.correct(*motion)
         self._synced = vehicle.pose
@@ -175,6 +172,16 @@ class Simulator:
     def side_speed_mps(self) -> float:
         """True speed of base_link to its left: the drift that wheel odometry does not see."""
         return float(self._vehicle.twist[1])
+
+    @property
+    def wheel_twist(self) -> Floats:
+        """(2,) forward speed and yaw rate the wheels turn for: the command after the controller's limits."""
+        return np.array(self._vehicle.wheels)
+
+    @property
+    def tilt_rad(self) -> float:
+        """Angle between the robot's and the world's vertical axis."""
+        return 0.0 if self._body is None else self._body.tilt_rad
 
     @property
     def odom_pose(self) -> Floats:

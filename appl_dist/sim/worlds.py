@@ -20,8 +20,8 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import UserError
-from .metrics import GRID, Grid, difficulty, fill_interior
+from appl_dist.errors import UserError
+from appl_dist.sim.metrics import GRID, Grid, difficulty, fill_interior
 
 Floats = NDArray[np.float64]
 

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from appl_dist.learner.networks import FlatMLP
+
+SIZES = (7, 16, 12, 3)
+
+
+def network(dtype: torch.dtype = torch.float32, heads: int = 2) -> FlatMLP:
+    return FlatMLP(SIZES, heads, torch.Generator().manual_seed(0), torch.device("cpu"), dtype)
+
+
+def by_autograd(net: FlatMLP, x: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Output, gradient by `flat` and by x of (weights * output).sum(), from a plain definition."""
+    flat = net.flat.detach().clone().requires_grad_()
+    x = x.clone().requires_grad_()
+    outputs = []
+    for head in range(net.heads):
+        y = x
+        for i, layer in enumerate(net._views(flat)):
+            y = y @ layer.weight[head] + layer.bias[head]
+            y = y.relu() if i < len(SIZES) - 2 else y
+        outputs.append(y)
+    output = torch.stack(outputs)
+    by_flat, by_x = torch.autograd.grad((weights * output).sum(), (flat, x))
+    return output.detach(), by_flat, by_x
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.bfloat16, 3e-2)])
+def test_forward_and_backward_equal_autograd(dtype: torch.dtype, tolerance: float) -> None:
+    net = network(dtype)
+    generator = torch.Generator().manual_seed(1)
+    x = torch.randn(50, 7, generator=generator)
+    weights = torch.randn(2, 50, 3, generator=generator)
+    output, by_flat, by_x = by_autograd(net, x, weights)
+    done = net.forward(x)
+    net.backward(done, weights)
+
+    def error(found: Tensor, wanted: Tensor) -> float:
+        return float((found - wanted).norm() / wanted.norm())
+
+    assert done.output.dtype == net.grad.dtype == torch.float32
+    assert error(done.output, output) < tolerance
+    assert error(net.grad, by_flat) < tolerance
+    assert error(net.input_gradient(done, weights, 7), by_x) < tolerance
+    assert error(net.input_gradient(done, weights, 2), by_x[:, -2:]) < tolerance
+
+
+def test_the_first_head_alone_equals_the_first_of_both() -> None:
+    net = network()
+    x = torch.randn(5, 7, generator=torch.Generator().manual_seed(1))
+    both, one = net.forward(x), net.forward(x, heads=1)
+    torch.testing.assert_close(one.output, both.output[:1])
+    gradient = torch.ones(2, 5, 3)
+    gradient[1] = 0
+    torch.testing.assert_close(net.input_gradient(one, gradient[:1], 3), net.input_gradient(both, gradient, 3))
+
+
+def test_the_input_gradient_leaves_the_optimisers_gradient_alone() -> None:
+    net = network()
+    done = net.forward(torch.ones(5, 7))
+    net.input_gradient(done, torch.ones(2, 5, 3), 2)
+    assert not net.grad.any()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_a_change_of_the_flat_vector_shows_after_refresh(dtype: torch.dtype) -> None:
+    net = network(dtype)
+    net.flat.zero_()
+    net.refresh()
+    assert not net.forward(torch.ones(5, 7)).output.any()
+
+
+def test_initial_weights_are_uniform_within_one_over_root_fan_in() -> None:
+    for layer in network(heads=50).master:
+        bound = layer.weight.shape[1] ** -0.5
+        for tensor in layer:
+            assert tensor.abs().max() <= bound
+            assert tensor.abs().max() > 0.9 * bound
+            assert abs(float(tensor.mean())) < 0.1 * bound

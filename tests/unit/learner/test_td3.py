@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from appl_dist.actor.policy import MLPPolicy
+from appl_dist.learner.replay import Batch
+from appl_dist.learner.settings import TD3Settings
+from appl_dist.learner.td3 import TD3, Diverged, read
+from appl_dist.policy_file import PolicyFile
+from appl_dist.spec import OBSERVATION_SIZE
+
+SMALL = TD3Settings(hidden=(32, 32), batch_size=64, actor_lr=3e-3, critic_lr=3e-3, precision="fp32")
+
+
+def random_batch(rng: np.random.Generator, b: int = 64, obs: int = 4, act: int = 2) -> Batch:
+    def uniform(*shape: int) -> np.ndarray:
+        return rng.uniform(-1, 1, shape).astype(np.float32)
+
+    return Batch(uniform(b, obs), uniform(b, act), uniform(b), np.full(b, 0.9, np.float32), uniform(b, obs))
+
+
+def bandit_batch(rng: np.random.Generator) -> Batch:
+    """One-step episodes whose best action is the observation itself: reward -|a - s|^2."""
+    batch = random_batch(rng, obs=2)
+    returns = -np.square(batch.actions - batch.observations).sum(1)
+    return dataclasses.replace(batch, returns=returns, discounts=np.zeros_like(returns))
+
+
+def greedy(learner: TD3, obs: np.ndarray) -> np.ndarray:
+    action: np.ndarray = learner.actor.forward(torch.from_numpy(obs)).output[0].tanh().numpy()
+    return action
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_it_learns_to_copy_the_observation(precision: str) -> None:
+    learner = TD3(dataclasses.replace(SMALL, precision=precision), 2, 2, seed=1)
+    rng = np.random.default_rng(0)
+    for _ in range(1500):
+        metrics = learner.update(bandit_batch(rng))
+    obs = random_batch(rng, 500, obs=2).observations * 0.9
+    assert np.abs(greedy(learner, obs) - obs).mean() < 0.1
+    assert read(metrics)["loss/critic"] < 0.02
+
+
+def test_it_learns_the_value_of_a_state_that_repeats() -> None:
+    # Reward 1 for ever at discount 0.5: the value is 2, whatever the action.
+    learner = TD3(dataclasses.replace(SMALL, polyak=0.05), 2, 2, seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(600):
+        batch = random_batch(rng, obs=2)
+        ones = np.ones(64, np.float32)
+        learner.update(dataclasses.replace(batch, returns=ones, discounts=ones / 2))
+    batch = random_batch(rng, obs=2)
+    x = torch.from_numpy(np.concatenate((batch.observations, batch.actions), 1))
+    torch.testing.assert_close(learner.critic.forward(x).output.mean(), torch.tensor(2.0), atol=0.1, rtol=0)
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_two_runs_of_one_seed_are_bit_equal_and_of_two_seeds_not(precision: str) -> None:
+    def run(seed: int) -> torch.Tensor:
+        learner = TD3(dataclasses.replace(SMALL, precision=precision), 4, 2, seed=seed)
+        rng = np.random.default_rng(0)
+        for _ in range(20):
+            learner.update(random_batch(rng))
+        return torch.cat((learner.actor.flat, learner.critic.flat, learner.critic_target.flat))
+
+    assert torch.equal(run(3), run(3))
+    assert not torch.equal(run(3), run(4))
+
+
+def test_the_policy_and_all_targets_change_every_second_update() -> None:
+    learner = TD3(dataclasses.replace(SMALL, policy_delay=2), 4, 2)
+    rng = np.random.default_rng(0)
+    names = ("critic", "actor", "actor_target", "critic_target")
+    changes = []
+    for _ in range(4):
+        before = {name: getattr(learner, name).flat.clone() for name in names}
+        learner.update(random_batch(rng))
+        changes.append([not torch.equal(before[name], getattr(learner, name).flat) for name in names])
+    assert changes == [[True, False, False, False], [True, True, True, True]] * 2
+
+
+def test_targets_are_polyak_averages() -> None:
+    learner = TD3(dataclasses.replace(SMALL, polyak=0.25, policy_delay=1), 4, 2)
+    for net, target in ((learner.actor, learner.actor_target), (learner.critic, learner.critic_target)):
+        net.flat.fill_(8.0)
+        target.flat.fill_(4.0)
+    learner._average_targets()
+    for target in (learner.actor_target, learner.critic_target):
+        assert (target.flat == 5.0).all()  # 0.25 * 8 + 0.75 * 4
+        # What computes is what was averaged: one unit of the target's first layer sees the new weights.
+        assert (target.layers[0].weight == 5.0).all()
+    assert (learner.critic.flat == 8.0).all()
+
+
+def test_the_target_takes_the_smaller_critic_and_discounts_it() -> None:
+    learner = TD3(SMALL, 4, 2)
+    learner.critic_target.flat.zero_()
+    learner.critic_target.layers[-1].bias[:, 0, 0] = torch.tensor([3.0, -2.0])  # Q1 = 3, Q2 = -2 everywhere
+    found = learner.targets(torch.tensor([1.0, 1.0]), torch.tensor([0.5, 0.0]), torch.zeros(2, 4))
+    assert found.tolist() == [0.0, 1.0]  # 1 + 0.5 * -2; a terminal keeps its reward
+
+
+def smoothed_actions(noise: float, clip: float, bias: float, count: int = 20_000) -> torch.Tensor:
+    """(count,) the first component of the action the target critics are asked about."""
+    settings = dataclasses.replace(SMALL, target_noise=noise, target_noise_clip=clip)
+    learner = TD3(settings, 4, 2)
+    learner.actor_target.flat.zero_()
+    learner.actor_target.layers[-1].bias[0, 0, 0] = bias
+    seen: list[torch.Tensor] = []
+    forward = learner.critic_target.forward
+
+    def spy(x: torch.Tensor) -> object:
+        seen.append(x)
+        return forward(x)
+
+    learner.critic_target.forward = spy  # type: ignore[assignment, method-assign]
+    learner.targets(torch.zeros(count), torch.zeros(count), torch.zeros(count, 4))
+    return seen[0][:, 4]
+
+
+def test_target_smoothing_is_clipped_noise_around_the_target_policy() -> None:
+    action = smoothed_actions(noise=0.2, clip=0.5, bias=math.atanh(0.25))
+    assert float((action - 0.25).mean()) == pytest.approx(0.0, abs=0.01)
+    assert float((action - 0.25).std()) == pytest.approx(0.2, rel=0.03)
+    assert float((action - 0.25).abs().max()) == pytest.approx(0.5)
+    near_the_edge = smoothed_actions(noise=0.2, clip=0.5, bias=math.atanh(0.95))
+    assert float(near_the_edge.max()) == 1.0  # an executable action
+    exact = smoothed_actions(noise=0.0, clip=0.5, bias=math.atanh(0.25), count=3)
+    torch.testing.assert_close(exact, torch.full((3,), 0.25))
+
+
+def test_one_update_equals_autograd_and_adam() -> None:
+    learner = TD3(dataclasses.replace(SMALL, policy_delay=1, target_noise=0.0), 4, 2)
+    batch = random_batch(np.random.default_rng(0))
+    obs, action = torch.from_numpy(batch.observations), torch.from_numpy(batch.actions)
+    critic = learner.critic.flat.clone().requires_grad_()
+    actor = learner.actor.flat.clone().requires_grad_()
+
+    def forward(views: list, x: torch.Tensor, head: int) -> torch.Tensor:
+        for i, layer in enumerate(views):
+            x = x @ layer.weight[head] + layer.bias[head]
+            x = x.relu() if i < len(views) - 1 else x
+        return x
+
+    def q(flat: torch.Tensor, head: int, a: torch.Tensor) -> torch.Tensor:
+        return forward(learner.critic._views(flat), torch.cat((obs, a), 1), head)[:, 0]
+
+    arrays = (batch.returns, batch.discounts, batch.next_observations)
+    y = copy.deepcopy(learner).targets(*(torch.from_numpy(a) for a in arrays))
+    errors = torch.stack([q(critic, head, action) - y for head in (0, 1)])
+    loss = errors.square().mean(1).sum()
+    critic.grad = torch.autograd.grad(loss, critic)[0]
+    torch.optim.Adam([critic], SMALL.critic_lr).step()
+    chosen = forward(learner.actor._views(actor), obs, 0).tanh()
+    actor_loss = -q(critic.detach(), 0, chosen).mean()
+    actor.grad = torch.autograd.grad(actor_loss, actor)[0]
+    torch.optim.Adam([actor], SMALL.actor_lr).step()
+
+    found = read(learner.update(batch))
+    assert found["loss/critic"] == pytest.approx(loss.item(), rel=1e-5)
+    assert found["loss/actor"] == pytest.approx(actor_loss.item(), rel=1e-4)
+    # Adam's first step is lr * sign(gradient): compare where the gradient is not rounding noise.
+    for flat, gradient, net in ((critic, critic.grad, learner.critic), (actor, actor.grad, learner.actor)):
+        clear = gradient.abs() > 1e-6
+        torch.testing.assert_close(net.grad, gradient, atol=1e-6, rtol=1e-3)
+        torch.testing.assert_close(net.flat[clear], flat.detach()[clear], atol=1e-4, rtol=1e-4)
+
+
+def test_the_exported_policy_is_the_actor() -> None:
+    learner = TD3(dataclasses.replace(SMALL, hidden=(512, 512, 512)), OBSERVATION_SIZE, 8)
+    policy = MLPPolicy(PolicyFile(*learner.policy_arrays()))
+    obs = np.random.default_rng(0).uniform(-1, 1, (20, OBSERVATION_SIZE)).astype(np.float32)
+    found = np.stack([policy.act(o) for o in obs])
+    np.testing.assert_allclose(found, greedy(learner, obs), atol=1e-5)
+
+
+def test_exported_arrays_do_not_change_with_training() -> None:
+    learner = TD3(SMALL, 4, 2)
+    weights, biases = learner.policy_arrays()
+    kept = [a.copy() for a in (*weights, *biases)]
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        learner.update(random_batch(rng))
+    assert all(np.array_equal(a, b) for a, b in zip(kept, (*weights, *biases), strict=True))
+    assert not np.array_equal(learner.policy_arrays()[0][0], weights[0])
+
+
+def test_detail_adds_norms_and_saturation() -> None:
+    learner = TD3(SMALL, 4, 2)
+    learner.actor.flat.zero_()
+    learner.actor.layers[-1].bias[0, 0] = torch.tensor([5.0, 0.0])
+    found = read(learner.update(random_batch(np.random.default_rng(0)), detail=True))
+    assert (found["saturation/0"], found["saturation/1"]) == (1.0, 0.0)
+    assert found["norm/actor"] == 5.0
+    assert found["norm/critic_gradient"] > 0.0
+
+
+def test_divergence_is_named() -> None:
+    learner = TD3(SMALL, 4, 2)
+    learner.critic.flat[0] = math.nan
+    with pytest.raises(Diverged, match="loss/critic is nan"):
+        read(learner.update(random_batch(np.random.default_rng(0))))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"hidden": ()}, "hidden: got"),
+        ({"policy_delay": 0}, "policy_delay: got 0"),
+        ({"actor_lr": 0.0}, "actor_lr: got 0"),
+        ({"polyak": 1.5}, "polyak: got 1.5"),
+        ({"target_noise": -0.1}, "target_noise: got -0.1"),
+        ({"precision": "fp16"}, "precision: got 'fp16'; allowed auto, bf16, fp32"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(change: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        TD3Settings(**change)
