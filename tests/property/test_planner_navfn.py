@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from appl_dist._native import Planner
+from appl_dist import _native
 from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.spec import DWA
 
@@ -20,7 +20,7 @@ def test_bounded_wave_gives_the_plan_of_the_whole_wave(seed, blocks, radius):
         lethal[y : y + 2, x : x + 2] = 254
     values = DWA.defaults
     values[7] = radius
-    planner = Planner(PlannerSettings(global_size_m=SIDE * 0.05, global_origin_m=0.0), values)
+    planner = _native.Planner(PlannerSettings(global_size_m=SIDE * 0.05, global_origin_m=0.0), values)
     planner.load_map(False, lethal, 0.0, 0.0)
     planner.inflate(False)
     for _ in range(3):  # the second and third start from what the one before needed

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from appl_dist._native import Planner
+from appl_dist import _native
 from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.planner.reference import Costmap, Parameters, TrajectoryScorer
 
@@ -51,7 +51,7 @@ def test_rollouts_equal_the_plain_python(scene):
     origin = (-2.0, -2.0)
     found = {}
     for trace in (False, True):
-        planner = Planner(chosen, values)
+        planner = _native.Planner(chosen, values)
         planner.reset(np.zeros(3))
         costs = inflated(planner, lethal, origin)
         planner.set_plan(plan, 0.0)

@@ -95,7 +95,7 @@ def test_the_local_map_follows_in_whole_cells_and_keeps_what_it_saw():
     before = {tuple(c) for c in np.argwhere(n.local_costmap == 254)}
     origin = n.local_origin
     n.add_scan(NOTHING, START)
-    n.update_local_map(START + [0.5, -0.3, 0.0])
+    n.update_local_map(START + np.array([0.5, -0.3, 0.0]))
     moved = np.rint((n.local_origin - origin) / 0.05).astype(int)
     after = {(y + moved[1], x + moved[0]) for y, x in np.argwhere(n.local_costmap == 254)}
     assert moved.tolist() in ([10, -6], [9, -6], [10, -5], [9, -5])
@@ -110,7 +110,7 @@ def test_a_new_inflation_radius_reaches_the_whole_of_both_maps():
     narrow = [(m > 0).sum() for m in (n.local_costmap, n.global_costmap)]
     n.set_parameters(changed(inflation_radius=0.5))
     n.add_scan(NOTHING, START)
-    far = START + [3.0, -3.0, 0.0]  # away from the wall
+    far = START + np.array([3.0, -3.0, 0.0])  # away from the wall
     for update in (n.update_local_map, n.update_global_map):
         update(far)
     assert all((m > 0).sum() > k for m, k in zip((n.local_costmap, n.global_costmap), narrow, strict=True))
@@ -174,9 +174,8 @@ def test_boxed_in_it_backs_up_whatever_stands_there():
     n = navigator()
     scan = np.full(720, 0.30, np.float32)
     command = n.cycle(scan, START, REST, 0.0)
-    if n.path.size:
-        assert command.tolist() == [-0.5, 0.0]
-        assert n.debug["escaping"]
+    assert command.tolist() == [-0.5, 0.0]
+    assert n.debug["escaping"]
 
 
 def test_without_a_plan_it_clears_turns_and_gives_up():
