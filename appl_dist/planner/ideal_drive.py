@@ -34,9 +34,7 @@ def drive(pose: Array, twist: Array, command: Array, steps: int) -> tuple[Array,
     return np.array([x, y, yaw]), np.array(speed)
 
 
-def cast_scan(
-    cylinders: Array, pose: Array, laser_x_m: float, beams: int, angle_max_rad: float
-) -> NDArray[np.float32]:
+def cast_scan(cylinders: Array, pose: Array, laser_x_m: float, beams: int, angle_max_rad: float) -> NDArray[np.float32]:
     """Ranges (beams,) m to cylinders (n, 3) x, y, radius from a lidar `laser_x_m` ahead; inf = no return."""
     ox = pose[0] + laser_x_m * math.cos(pose[2])
     oy = pose[1] + laser_x_m * math.sin(pose[2])

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist import _native
+from appl_dist._native import Planner
 from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.spec import DWA
 
@@ -39,7 +39,7 @@ class Navigator:
     def __init__(self, settings: PlannerSettings = PlannerSettings(), values: Array | None = None) -> None:
         """`values` (8,) in spec.DWA order, default the hand-tuned ones. ValueError names what cannot be."""
         self.settings = settings
-        self._planner = _native.Planner(settings, _floats(DWA.defaults if values is None else values))
+        self._planner = Planner(settings, _floats(DWA.defaults if values is None else values))
 
     def reset(self, goal: Array) -> None:
         """New goal (x, y, yaw): clears maps, plans, recoveries and the local planner's memory."""

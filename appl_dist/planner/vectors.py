@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist import _native
+from appl_dist._native import Planner
 from appl_dist.planner import ideal_drive
 from appl_dist.planner.navigator import Navigator, State
 from appl_dist.planner.parameters import PlannerSettings
@@ -101,7 +101,7 @@ def settings_of(scene: Record, meter_scoring: bool) -> PlannerSettings:
 def _scene_planner(scene: Record, meter_scoring: bool) -> Any:
     """The C planner with the scene's map, plan and parameters."""
     values = parameter_values(scene["params"], scene["inflation_radius"])
-    planner = _native.Planner(settings_of(scene, meter_scoring), values)
+    planner = Planner(settings_of(scene, meter_scoring), values)
     planner.reset(np.zeros(3))
     lethal = np.zeros((scene["H"], scene["W"]), np.uint8)
     lethal.flat[scene["lethal"]] = 254
@@ -179,7 +179,7 @@ def inflated_maps(data: Any) -> Iterator[Tally]:
             # What makes the inscribed radius of the padded footprint the vector's.
             half_width_m=float(data["inscribed_radius"][i]) - 0.1,
         )
-        planner = _native.Planner(settings, values)
+        planner = Planner(settings, values)
         lethal = np.unpackbits(packed[i], axis=1)[:, :size].astype(np.uint8) * 254
         planner.load_map(True, lethal, *data["origin"][i])
         planner.inflate(True)
@@ -197,7 +197,7 @@ def global_plans(data: Any) -> Iterator[Tally]:
     plan_at = np.concatenate([[0], np.cumsum(data["plan_len"])])
     arrays = {k: data[k] for k in ("lethal_flat", "plan_xy", "start", "goal", "ok", "inflation_radius")}
     stored = {int(scene): k for k, scene in enumerate(data["sel"])} if "sel" in data else {}
-    potential, costmap = (data["potential"], data["costmap"]) if stored else (None, None)
+    arrays |= {k: data[k] for k in ("potential", "costmap") if stored}
     resolution, shape, origin = float(data["resolution"]), data["shape"], data["origin"]
     if shape[0] != shape[1]:
         raise ValueError(f"shape: got {shape[0]} x {shape[1]} cells; expected a square map")
@@ -205,7 +205,7 @@ def global_plans(data: Any) -> Iterator[Tally]:
     for i in range(len(arrays["ok"])):
         values = DWA.defaults
         values[DWA.names.index("inflation_radius")] = arrays["inflation_radius"][i]
-        planner = _native.Planner(settings, values)
+        planner = Planner(settings, values)
         lethal = np.zeros(tuple(shape), np.uint8)
         lethal.flat[arrays["lethal_flat"][lethal_at[i] : lethal_at[i + 1]]] = 254
         planner.load_map(False, lethal, *origin)
@@ -217,8 +217,8 @@ def global_plans(data: Any) -> Iterator[Tally]:
         if i in stored:
             k = stored[i]
             planner.plan_between(start, goal, True)
-            potentials.add(planner.potential(), potential[k], items=potential[k].size, whole=False)
-            costs.add(planner.map(False, False), costmap[k], items=costmap[k].size, whole=False)
+            potentials.add(planner.potential(), arrays["potential"][k], items=lethal.size, whole=False)
+            costs.add(planner.map(False, False), arrays["costmap"][k], items=lethal.size, whole=False)
     yield from (plans, found)
     if stored:
         yield from (potentials, costs)
@@ -254,9 +254,7 @@ def _replay(
         while schedule and schedule[0]["t"] <= now + 1e-9:
             change = schedule.pop(0)
             navigator.set_parameters(parameter_values(change["params"], change["inflation_radius"]))
-        scan = ideal_drive.cast_scan(
-            cylinders, pose, settings.laser_x_m, settings.beams, settings.angle_max_rad
-        )
+        scan = ideal_drive.cast_scan(cylinders, pose, settings.laser_x_m, settings.beams, settings.angle_max_rad)
         planned, command = _ideal_tick(navigator, k, scan, pose, twist, now)
         gap = ideal_drive.clearance(cylinders, pose)
         row = [now, *pose, *twist, *command, *_tick_state(navigator, planned), *navigator.local_origin]

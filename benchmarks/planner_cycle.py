@@ -1,0 +1,89 @@
+"""Time of the planner's stages and of its full cycle, beside the real C++ on one core (docs: planner.md figures).
+
+    python benchmarks/planner_cycle.py [--seconds 20] [--parameters random]
+
+Drives the noise-free robot through generated BARN worlds and times every call from Python, so the call itself
+(about a microsecond) is included. "per simulated second" = 20 local updates, plans and controls, 10 global updates.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import defaultdict
+
+import numpy as np
+
+from appl_dist.planner.ideal_drive import cast_scan, drive
+from appl_dist.planner.navigator import Navigator
+from appl_dist.sim.generate import generate_worlds
+from appl_dist.spec import DWA
+
+# ms of the ROS code on one core of a server (AMD EPYC, -O2): default parameters, random ones for the control.
+REAL_MS = {"local map": 0.11, "global map": 0.14, "plan": 1.65, "control": 1.33}
+REAL_RANDOM_CONTROL_MS = 2.65
+START_WORLD = np.array([-2.0, 3.0, 0.0])
+
+
+def run(world_index: int, seconds: float, random: bool, times: dict[str, list[float]]) -> None:
+    """One drive; appends the ms of every call to `times`."""
+    rng = np.random.default_rng(world_index)
+    world = generate_worlds(world_index + 1)[world_index]
+    cylinders = world.cylinders - START_WORLD
+    navigator = Navigator()
+    navigator.reset(np.array([0.0, 10.0, 0.0]))
+    pose, twist = np.array([0.0, 0.0, 1.57]), np.zeros(2)
+    for k in range(int(seconds * 20)):
+        if random and k % 40 == 0:
+            navigator.set_parameters(DWA.to_values(rng.uniform(-1, 1, 8)))
+        scan = cast_scan(cylinders, pose, 0.055, 720, 2.35619)
+        now = time.perf_counter()
+
+        def lap(stage: str) -> None:
+            nonlocal now
+            after = time.perf_counter()
+            times[stage].append((after - now) * 1e3)
+            now = time.perf_counter()
+
+        navigator.add_scan(scan, pose)
+        lap("scan")
+        navigator.update_local_map(pose)
+        lap("local map")
+        if k % 2 == 0:
+            navigator.update_global_map(pose)
+            lap("global map")
+        navigator.plan(pose, 0.05 * k)
+        lap("plan")
+        command = navigator.control(pose, twist, 0.05 * k)
+        lap("control")
+        pose, twist = drive(pose, twist, command, 5)
+        if np.hypot(pose[0], pose[1] - 10.0) < 1.0:
+            return
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=20.0, help="simulated, a world")
+    parser.add_argument("--worlds", type=int, nargs="*", default=[0, 90, 170, 250])
+    parser.add_argument("--parameters", choices=["default", "random"], default="default")
+    args = parser.parse_args()
+    times: dict[str, list[float]] = defaultdict(list)
+    for index in args.worlds:
+        run(index, args.seconds, args.parameters == "random", times)
+    real = dict(REAL_MS)
+    if args.parameters == "random":
+        real["control"] = REAL_RANDOM_CONTROL_MS
+    print(f"{'stage':12}{'mean ms':>9}{'median':>9}{'p99':>9}{'real C++':>10}{'ratio':>7}   {args.parameters} parameters")
+    per_second = {}
+    for stage in ("scan", "local map", "global map", "plan", "control"):
+        ms = np.array(times[stage])
+        per_second[stage] = ms.mean() * (10 if stage == "global map" else 20)
+        beside = f"{real[stage]:10.2f}{real[stage] / ms.mean():7.1f}" if stage in real else ""
+        print(f"{stage:12}{ms.mean():9.3f}{np.median(ms):9.3f}{np.percentile(ms, 99):9.3f}{beside}")
+    ours = sum(per_second.values())
+    theirs = sum(real[s] * (10 if s == "global map" else 20) for s in real)
+    print(f"per simulated second: {ours:.1f} ms; real C++ {theirs:.1f} ms; ratio {theirs / ours:.1f}")
+
+
+if __name__ == "__main__":
+    main()
