@@ -148,6 +148,8 @@ public:
         if (n > static_cast<size_t>(n_->local_plan.plan.capacity))
             throw nb::value_error(("plan: got " + std::to_string(n) + " points; at most " +
                                    std::to_string(n_->local_plan.plan.capacity) + " fit").c_str());
+        for (size_t i = 0; i < 2 * n; ++i)
+            if (!(std::abs(p[i]) <= 1e4)) throw nb::value_error("plan: holds a coordinate that is not within 10 km");
         local_planner_set_plan(&n_->local_plan, p, static_cast<int>(n), end_yaw);
     }
     // computeVelocityCommands alone. With `trace` every sample is simulated to its end and reported.

@@ -57,17 +57,22 @@ static void follow(costmap *m, double x, double y) {
 // Frees the cells between sensor and hit, at most `reach` cells of them (Costmap2D::raytraceLine).
 static inline void clear_line(costmap *m, int x0, int y0, int x1, int y1, int reach) {
     const int dx = x1 - x0, dy = y1 - y0;
-    const double length = hypot(dx, dy);
-    const double scale = length == 0.0 ? 1.0 : fmin(1.0, reach / length);
-    grid_line l = line_between(x0, y0, x1, y1);
-    int steps = (int)(scale * l.steps);
-    if (steps > l.steps) steps = l.steps;
-    uint8_t *map = m->obstacles;
-    const int w = m->frame.w;
-    for (int i = 0;; ++i) {
-        map[l.y * w + l.x] = COST_FREE;
-        if (i == steps) return;
-        line_advance(&l);
+    const grid_line l = line_between(x0, y0, x1, y1);
+    int steps = l.steps;
+    if (dx * dx + dy * dy >= reach * reach) {
+        const double scale = fmin(1.0, reach / hypot(dx, dy));
+        steps = (int)(scale * l.steps);
+    }
+    const int w = m->frame.w, every = l.dx2 + l.dy2 * w, extra = l.dx1 + l.dy1 * w;
+    uint8_t *at = m->obstacles + y0 * w + x0;
+    int num = l.num;
+    *at = COST_FREE;
+    for (int i = 0; i < steps; ++i) {
+        num += l.add;
+        const bool over = num >= l.den;
+        num -= over ? l.den : 0;
+        at += every + (over ? extra : 0);
+        *at = COST_FREE;
     }
 }
 
@@ -77,6 +82,7 @@ static void raytrace(costmap *m, const observation *seen, double range, bounds *
     if (!world_to_map(g, seen->ox, seen->oy, &x0, &y0)) return;
     const double end_x = g->ox + g->w * g->res, end_y = g->oy + g->h * g->res;
     const int reach = cell_distance(range, g->res);
+    int last_x = -1, last_y = -1;
     touch(b, seen->ox, seen->oy);
     for (int i = 0; i < seen->count; ++i) {
         double wx = seen->x[i], wy = seen->y[i];
@@ -99,9 +105,12 @@ static void raytrace(costmap *m, const observation *seen, double range, bounds *
         }
         int x1, y1;
         if (!world_to_map(g, wx, wy, &x1, &y1)) continue;
-        clear_line(m, x0, y0, x1, y1, reach);
-        const double dx = wx - seen->ox, dy = wy - seen->oy, length = hypot(dx, dy);
-        const double scale = length > 0 ? fmin(1.0, range / length) : 1.0;
+        // Neighbouring beams often end in the same cell.
+        if (x1 != last_x || y1 != last_y) clear_line(m, x0, y0, x1, y1, reach);
+        last_x = x1, last_y = y1;
+        const double dx = wx - seen->ox, dy = wy - seen->oy;
+        const bool beyond = dx * dx + dy * dy >= 0.999 * range * range;
+        const double scale = beyond ? fmin(1.0, range / hypot(dx, dy)) : 1.0;
         touch(b, seen->ox + dx * scale, seen->oy + dy * scale);
     }
 }

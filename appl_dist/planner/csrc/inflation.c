@@ -25,13 +25,14 @@ static void build_kernel(inflation *f) {
             keys[at] = d;
             f->bins += 1;
         }
-    for (int i = 0; i <= INFLATION_CELLS_MAX; ++i)
-        for (int j = 0; j <= INFLATION_CELLS_MAX; ++j) {
-            const double d = hypot(i, j);
-            f->bin_of[i][j] = 255;
-            f->cost_of[i][j] = cost_at(f, d);
+    for (int b = 0; b < f->bins; ++b) f->cost_of_bin[b] = cost_at(f, keys[b]);
+    for (int dy = -INFLATION_REACH; dy <= INFLATION_REACH; ++dy)
+        for (int dx = -INFLATION_REACH; dx <= INFLATION_REACH; ++dx) {
+            const double d = hypot(dx, dy);
+            uint8_t *bin = &f->bin_of[dy + INFLATION_REACH][dx + INFLATION_REACH];
+            *bin = 255;
             for (int b = 0; b < f->bins && d <= f->cells; ++b)
-                if (keys[b] == d) f->bin_of[i][j] = (uint8_t)b;
+                if (keys[b] == d) *bin = (uint8_t)b;
         }
 }
 
@@ -79,15 +80,12 @@ static inline void enqueue(brushfire *b, int bin, int x, int y, int dx, int dy) 
     b->tail[bin] = at;
 }
 
-// A cell matters once: first in, in its lowest bin. Later and farther offers are dropped here; offers in a bin
-// already behind us are dropped because the original never returns to it.
-static inline void offer(brushfire *b, int current, int x, int y, int dx, int dy) {
-    const int ax = dx < 0 ? -dx : dx, ay = dy < 0 ? -dy : dy;
-    if (ax > b->f->cells || ay > b->f->cells) return;
-    const int bin = b->f->bin_of[ax][ay];
+// A cell matters once: first in, in its lowest bin. Later and farther offers are dropped here.
+static inline void offer(brushfire *b, int x, int y, int dx, int dy) {
+    const uint8_t bin = b->f->bin_of[dy + INFLATION_REACH][dx + INFLATION_REACH];
     uint8_t *best = &b->scratch->best[y * b->w + x];
-    if (bin == 255 || bin < current || bin >= *best) return;
-    *best = (uint8_t)bin;
+    if (bin >= *best) return;
+    *best = bin;
     enqueue(b, bin, x, y, dx, dy);
 }
 
@@ -110,9 +108,9 @@ void inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map,
     for (int y = y0; y < yn; ++y) {
         const uint8_t *row = map + y * w;
         for (int x = x0; x < xn; ++x) {
-            const uint8_t *hit = row + x;
-            while (x < xn && *hit != COST_LETHAL) ++hit, ++x;
-            if (x == xn) break;
+            const uint8_t *hit = memchr(row + x, COST_LETHAL, (size_t)(xn - x));
+            if (!hit) break;
+            x = (int)(hit - row);
             scratch->best[y * w + x] = 0;
             enqueue(&b, 0, x, y, 0, 0);
         }
@@ -122,11 +120,12 @@ void inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map,
             const inflation_entry e = scratch->entries[at];
             const int cell = e.y * w + e.x;
             if (scratch->best[cell] != bin) continue;
-            const uint8_t cost = f->cost_of[e.dx < 0 ? -e.dx : e.dx][e.dy < 0 ? -e.dy : e.dy];
+            const uint8_t cost = f->cost_of_bin[bin];
             if (map[cell] == COST_UNKNOWN ? cost >= COST_INSCRIBED : map[cell] < cost) map[cell] = cost;
-            if (e.x > 0) offer(&b, bin, e.x - 1, e.y, e.dx - 1, e.dy);
-            if (e.y > 0) offer(&b, bin, e.x, e.y - 1, e.dx, e.dy - 1);
-            if (e.x < w - 1) offer(&b, bin, e.x + 1, e.y, e.dx + 1, e.dy);
-            if (e.y < h - 1) offer(&b, bin, e.x, e.y + 1, e.dx, e.dy + 1);
+            // Never back towards the obstacle: that cell would lie in an earlier bin.
+            if (e.dx <= 0 && e.x > 0) offer(&b, e.x - 1, e.y, e.dx - 1, e.dy);
+            if (e.dy <= 0 && e.y > 0) offer(&b, e.x, e.y - 1, e.dx, e.dy - 1);
+            if (e.dx >= 0 && e.x < w - 1) offer(&b, e.x + 1, e.y, e.dx + 1, e.dy);
+            if (e.dy >= 0 && e.y < h - 1) offer(&b, e.x, e.y + 1, e.dx, e.dy + 1);
         }
 }

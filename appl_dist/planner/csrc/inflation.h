@@ -10,7 +10,7 @@ typedef struct {
     int32_t next;    // in the same bin, -1 the last
 } inflation_entry;
 
-enum { INFLATION_BINS_MAX = 250 };
+enum { INFLATION_BINS_MAX = 250, INFLATION_REACH = INFLATION_CELLS_MAX + 1 };
 
 // Shared by the maps of one planner; sized for the largest.
 typedef struct {
@@ -25,8 +25,8 @@ typedef struct {
     double radius, inscribed, weight;  // m, m, 1/m
     double res;                        // m
     int cells, bins;                   // reach in cells; distinct distances
-    uint8_t bin_of[INFLATION_CELLS_MAX + 1][INFLATION_CELLS_MAX + 1];   // 255 beyond reach
-    uint8_t cost_of[INFLATION_CELLS_MAX + 1][INFLATION_CELLS_MAX + 1];
+    uint8_t bin_of[2 * INFLATION_REACH + 1][2 * INFLATION_REACH + 1];  // by dy, dx; 255 beyond reach
+    uint8_t cost_of_bin[INFLATION_BINS_MAX];
     bool need_reinflation;
     double last_min_x, last_min_y, last_max_x, last_max_y;  // m, bounds of the previous update
 } inflation;

@@ -1,6 +1,5 @@
 #include "navfn.h"
 
-#include <limits.h>
 #include <string.h>
 
 enum { NEUTRAL = 50, BLOCKED = 254, FIRST_THRESHOLD = 254, THRESHOLD_STEP = 100 };
@@ -15,9 +14,10 @@ void navfn_init(navfn *n) {
     }
     const int cells = n->w * n->h;
     memset(n->cost, BLOCKED, (size_t)cells);
-    memset(n->pending, 0, (size_t)cells);
+    memset(n->closed, 1, (size_t)cells);
     for (int i = 0; i < cells; ++i) n->potential[i] = POTENTIAL_NONE;
-    n->low = INT_MAX, n->high = -1;
+    n->reached_count = 0;
+    n->per_row = 1.0 / n->w;
     n->fresh = false;
     n->plan_count = 0;
     n->goal_potential = 0;
@@ -31,6 +31,7 @@ void navfn_sync(navfn *n, const uint8_t *master, grid_window k) {
             const uint8_t c = n->cost_of[master[i]];
             if (n->cost[i] == c) continue;
             n->cost[i] = c;
+            n->closed[i] = c >= BLOCKED;
             n->fresh = false;
         }
 }
@@ -40,24 +41,22 @@ typedef struct {
     int count;
 } buffer;
 
-static inline void push(navfn *n, buffer *b, int i) {
-    if (n->pending[i] || n->cost[i] >= BLOCKED || b->count >= NAVFN_BUFFER) return;
-    b->cells[b->count++] = i;
-    n->pending[i] = 1;
+// Without a branch: whether a neighbour needs a push is a coin toss.
+static inline void push(navfn *n, buffer *b, int i, bool wanted) {
+    const int ok = wanted & !n->closed[i] & (b->count < NAVFN_BUFFER);
+    b->cells[b->count] = i;
+    b->count += ok;
+    n->closed[i] |= (uint8_t)ok;
 }
 
 // New potential of a cell from its two lowest neighbours: planar wave, quadratic approximation. The mixture of
 // float and double is the original's.
 static inline float planar_wave(float across, float along, float cost) {
-    float low = along, gap = across - along;
-    if (gap < 0) {
-        gap = -gap;
-        low = across;
-    }
-    if (gap >= cost) return low + cost;
+    const float low = across < along ? across : along;
+    const float gap = fabsf(across - along);
     const float d = gap / cost;
     const float v = (float)(-0.2301 * d * d + 0.5307 * d + 0.7040);
-    return low + cost * v;
+    return gap >= cost ? low + cost : low + cost * v;
 }
 
 // Only cells that can matter are given a potential: those with p + h <= bound, where h is a lower bound of what the
@@ -70,7 +69,7 @@ static inline float planar_wave(float across, float along, float cost) {
 #define BOUND_MARGIN 1300.0f
 
 static inline bool matters(const navfn *n, int i, float potential) {
-    const int y = i / n->w;
+    const int y = (int)((i + 0.5) * n->per_row);
     const float dx = (float)(i - y * n->w - n->goal_cx), dy = (float)(y - n->goal_cy);
     const float left = n->bound - potential;
     return left >= 0 && RISE_PER_CELL * RISE_PER_CELL * (dx * dx + dy * dy) <= left * left;
@@ -82,19 +81,19 @@ static inline void update_cell(navfn *n, int i, float threshold, buffer *next, b
     const float left = p[i - 1], right = p[i + 1], up = p[i - w], down = p[i + w];
     const float potential = planar_wave(left < right ? left : right, up < down ? up : down, n->cost[i]);
     if (!(potential < p[i]) || !matters(n, i, potential)) return;
+    n->reached[n->reached_count] = i;
+    n->reached_count += p[i] >= POTENTIAL_NONE;
     p[i] = potential;
-    if (i < n->low) n->low = i;
-    if (i > n->high) n->high = i;
     buffer *to = potential < threshold ? next : over;
-    if (left > potential + n->step_of[n->cost[i - 1]]) push(n, to, i - 1);
-    if (right > potential + n->step_of[n->cost[i + 1]]) push(n, to, i + 1);
-    if (up > potential + n->step_of[n->cost[i - w]]) push(n, to, i - w);
-    if (down > potential + n->step_of[n->cost[i + w]]) push(n, to, i + w);
+    push(n, to, i - 1, left > potential + n->step_of[n->cost[i - 1]]);
+    push(n, to, i + 1, right > potential + n->step_of[n->cost[i + 1]]);
+    push(n, to, i - w, up > potential + n->step_of[n->cost[i - w]]);
+    push(n, to, i + w, down > potential + n->step_of[n->cost[i + w]]);
 }
 
 static void forget(navfn *n) {
-    for (int i = n->low; i <= n->high; ++i) n->potential[i] = POTENTIAL_NONE;
-    n->low = INT_MAX, n->high = -1;
+    for (int k = 0; k < n->reached_count; ++k) n->potential[n->reached[k]] = POTENTIAL_NONE;
+    n->reached_count = 0;
 }
 
 static void propagate(navfn *n, int start, int goal) {
@@ -102,13 +101,13 @@ static void propagate(navfn *n, int start, int goal) {
     float threshold = FIRST_THRESHOLD;
     forget(n);
     n->potential[start] = 0;
-    n->low = n->high = start;
+    n->reached[n->reached_count++] = start;
     const int around[4] = {start + 1, start - 1, start - n->w, start + n->w};
     for (int k = 0; k < 4; ++k)
-        if (around[k] >= 0 && around[k] < n->w * n->h) push(n, &now, around[k]);
+        if (around[k] >= 0 && around[k] < n->w * n->h) push(n, &now, around[k], true);
     const int area = n->w * n->h / 20, cycles = area > n->w + n->h ? area : n->w + n->h;
     for (int cycle = 0; cycle < cycles && (now.count || next.count); ++cycle) {
-        for (int k = 0; k < now.count; ++k) n->pending[now.cells[k]] = 0;
+        for (int k = 0; k < now.count; ++k) n->closed[now.cells[k]] = 0;
         for (int k = 0; k < now.count; ++k) update_cell(n, now.cells[k], threshold, &next, &over);
         n->cells += now.count;
         buffer t = now;
@@ -122,7 +121,7 @@ static void propagate(navfn *n, int start, int goal) {
     }
     const buffer left[3] = {now, next, over};
     for (int b = 0; b < 3; ++b)
-        for (int k = 0; k < left[b].count; ++k) n->pending[left[b].cells[k]] = 0;
+        for (int k = 0; k < left[b].count; ++k) n->closed[left[b].cells[k]] = 0;
 }
 
 // The wave within a bound around what the last plan needed, widened until the goal's potential is well inside.

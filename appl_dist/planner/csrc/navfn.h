@@ -9,9 +9,11 @@ typedef struct {
     int w, h;
     uint8_t *cost;           // (h, w) traversal cost 50..253, 254 blocked; the outer ring is blocked
     float *potential;        // (h, w) 1e10 where no wave came
-    uint8_t *pending;        // (h, w) in a buffer
-    int32_t *buffers[3];     // (NAVFN_BUFFER)
-    int low, high;           // cells outside [low, high] hold no potential
+    uint8_t *closed;         // (h, w) blocked, or in a buffer already
+    int32_t *buffers[3];     // (NAVFN_BUFFER + 1)
+    int32_t *reached;        // (h * w + 1) the cells that hold a potential
+    int reached_count;
+    double per_row;          // 1 / w
     float *path_x, *path_y;  // (path_capacity) cells, goal first
     int path_capacity;
     // The last plan, and whether it still holds: the wave depends only on costs, start and goal.

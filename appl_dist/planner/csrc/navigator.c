@@ -111,8 +111,9 @@ static void lay_out(navigator *n, const planner_settings *s, arena *a) {
     plan->w = plan->h = global;
     plan->cost = GRAB(a, uint8_t, global * global);
     plan->potential = GRAB(a, float, global * global);
-    plan->pending = GRAB(a, uint8_t, global * global);
-    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER);
+    plan->closed = GRAB(a, uint8_t, global * global);
+    plan->reached = GRAB(a, int32_t, global * global + 1);
+    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER + 1);
     plan->path_capacity = 4 * global;
     plan->path_x = GRAB(a, float, plan->path_capacity);
     plan->path_y = GRAB(a, float, plan->path_capacity);
