@@ -56,8 +56,15 @@ class TD3:
 
     def update(self, batch: Batch, detail: bool = False) -> Metrics:
         """One training step. `detail` adds norms and action saturation, worth a pass over all parameters."""
-        # Moments of dead units decay into denormals, which are slow; the flag is the calling thread's.
+        # Adam's moments of dead units decay into denormals, which are slow. The flag is the calling thread's,
+        # for numpy too, so it is on for the update only.
         torch.set_flush_denormal(True)
+        try:
+            return self._update(batch, detail)
+        finally:
+            torch.set_flush_denormal(False)
+
+    def _update(self, batch: Batch, detail: bool) -> Metrics:
         obs, action, returns, discounts, next_obs = (
             torch.from_numpy(a).to(self.device)
             for a in (

@@ -203,6 +203,12 @@ def test_detail_adds_norms_and_saturation() -> None:
     assert found["norm/critic_gradient"] > 0.0
 
 
+def test_an_update_leaves_the_callers_arithmetic_alone() -> None:
+    learner = TD3(SMALL, 4, 2)
+    learner.update(random_batch(np.random.default_rng(0)))
+    assert np.float32(1e-38) / np.float32(10) > 0  # denormals, which the update flushes to 0
+
+
 def test_divergence_is_named() -> None:
     learner = TD3(SMALL, 4, 2)
     learner.critic.flat[0] = math.nan
