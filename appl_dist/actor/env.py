@@ -93,7 +93,7 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._success = self._over = False
         self.min_clearance_m = math.inf
         self._apply(self.space.defaults)
-        return self._observe(), self._info()
+        return self._observe(self.loop.scan), self._info()
 
     def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         if self._over:
@@ -103,11 +103,12 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.loop.advance(self.period_ms, self._ended)
         self._ended()
         after = self._position()
-        observation = self._observe()
+        scan = self.loop.scan
+        observation = self._observe(scan)
         terminated = self._success or self._failed()
         truncated = not terminated and self._timed_out()
         self._over = terminated or truncated
-        nearest_m = float(self.loop.scan.min())
+        nearest_m = float(scan.min())
         goal = (float(self._goal[0]), float(self._goal[1]))
         r = reward(self.rewards, before, after, goal, nearest_m, self._success)
         return observation, r, terminated, truncated, self._info()
@@ -152,9 +153,9 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
     def _time_s(self) -> float:
         return 0.0 if self._clock_start_ms is None else (self.loop.now_ms - self._clock_start_ms) / 1000.0
 
-    def _observe(self) -> FloatArray:
+    def _observe(self, scan: FloatArray) -> FloatArray:
         observation = np.empty(OBSERVATION_SIZE, np.float32)
-        np.minimum(self.loop.scan, LIDAR_CLIP_M, out=observation[SCAN])
+        np.minimum(scan, LIDAR_CLIP_M, out=observation[SCAN])
         observation[SCAN] *= 2.0 / LIDAR_CLIP_M
         observation[SCAN] -= 1.0
         bearing = self.loop.navigator.local_goal_bearing(self.loop.estimate[0])

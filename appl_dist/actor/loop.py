@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,14 @@ class Rate:
         self.due_ms = max(expected, now_ms)
 
 
+class _Stamp(NamedTuple):
+    """When and where the lidar fired: true pose in the world, estimated pose in the odometry frame. Cast when read."""
+
+    time_ms: int
+    pose: Array
+    pose_odom: Array
+
+
 class NavigationLoop:
     """Robot and planner coupled by the event model. Deterministic: world, seed and parameters fix every event."""
 
@@ -71,7 +80,7 @@ class NavigationLoop:
         self._received_ms = 0
         self._in_flight: list[tuple[int, Array]] = []  # commands on their way to the wheels
         self._scan_due_ms = 0
-        self._scans: list[tuple[int, FloatArray, Array]] = []  # usable from, ranges, pose at the stamp
+        self._scans: list[tuple[int, _Stamp]] = []  # usable from
         self.estimate = self._odometry()
         self._estimates: list[tuple[int, tuple[Array, Array]]] = []
         self._local = Rate(t.local_map_period_ms, phase[0])
@@ -112,6 +121,11 @@ class NavigationLoop:
             else:
                 self._compute(event_ms)
 
+    @property
+    def scan(self) -> FloatArray:
+        """(720,) the newest scan, m, inf = no return."""
+        return self.simulator.scan_from(self._newest.pose, self._newest.time_ms)
+
     def _drive_until(self, time_ms: int) -> None:
         if time_ms > self.now_ms:
             age_s = (self.now_ms - self._received_ms) / 1000.0
@@ -121,8 +135,8 @@ class NavigationLoop:
     def _sense(self) -> None:
         """The lidar fires and odometry is published, on the same 50 Hz grid."""
         estimate = self._odometry()
-        self.scan = self.simulator.scan()
-        self._scans.append((self.now_ms + self.timing.scan_delay_ms, self.scan, estimate[0]))
+        self._newest = _Stamp(self.now_ms, self.simulator.pose, estimate[0])
+        self._scans.append((self.now_ms + self.timing.scan_delay_ms, self._newest))
         self._estimates.append((self.now_ms + self.timing.odometry_delay_ms, estimate))
         self._scan_due_ms = self.now_ms + self.timing.scan_period_ms
 
@@ -174,6 +188,7 @@ class NavigationLoop:
     def _give_scan(self, now_ms: int) -> None:
         newest = None
         while self._scans and self._scans[0][0] <= now_ms:
-            newest = self._scans.pop(0)
+            newest = self._scans.pop(0)[1]
         if newest is not None:
-            self.navigator.add_scan(newest[1], newest[2])
+            ranges = self.simulator.scan_from(newest.pose, newest.time_ms)
+            self.navigator.add_scan(ranges, newest.pose_odom)

@@ -9,10 +9,10 @@ friction against obstacles.
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
-
-import pybullet as p
 
 from appl_dist.sim.robot import BASE_HEIGHT_M
 from appl_dist.sim.worlds import Floats
@@ -25,6 +25,22 @@ WHEEL_JOINTS = (0, 1, 2, 3)  # front left, front right, rear left, rear right
 WHEEL_TORQUES = (100.0,) * 4  # N m: the URDF sets no effort limit
 FLAT_RAD = 1e-3  # less tilt than this is bullet's contact slop, and is taken out
 
+
+def _import_quietly() -> ModuleType:
+    """pybullet, without the line about its build time that importing it writes to stderr."""
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        import pybullet
+
+        return pybullet
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+
+
+p = _import_quietly()
 
 Pose = tuple[float, float, float]  # x, y, yaw of base_link, or their rates
 

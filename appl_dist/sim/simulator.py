@@ -156,12 +156,16 @@ class Simulator:
         self.rolled_over |= body.tilt_rad > ROLLED_OVER_RAD
 
     def scan(self) -> NDArray[np.float32]:
-        """(720,) float32 ranges in m at this moment, inf = no return; the noise is that of (seed, time, beam)."""
-        x, y, yaw = self._vehicle.pose
+        """(720,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""
+        return self.scan_from(self._vehicle.pose, self._vehicle.time_ms)
+
+    def scan_from(self, pose: tuple[float, float, float] | NDArray[np.float64], time_ms: int) -> NDArray[np.float32]:
+        """The scan of a moment gone by, from the true pose then: a scan that nobody reads need not be cast."""
+        x, y, yaw = pose
         mount = self.lidar.mount_x_m
-        pose = np.array((x + mount * math.cos(yaw), y + mount * math.sin(yaw), yaw))
+        lidar = np.array((x + mount * math.cos(yaw), y + mount * math.sin(yaw), yaw))
         ranges = np.empty(self.lidar.beams, np.float32)
-        self._caster.cast(pose, self._cylinders, self._seed, self._vehicle.time_ms, ranges)
+        self._caster.cast(lidar, self._cylinders, self._seed, time_ms, ranges)
         return ranges
 
     @property
