@@ -12,7 +12,7 @@ ROLES = {
     "train": "run a learner and its actors on this machine, then evaluate the policy",
     "learner": "run only the learner; actors anywhere connect to wire.endpoint",
     "actor": "run one actor: appl-dist actor wire.endpoint=tcp/HOST:7447",
-    "evaluate": "compare policies on worlds: evaluation.methods=[default=default,mine=FILE]",
+    "evaluate": "compare policies on worlds: appl-dist evaluate +evaluation.methods.mine=FILE",
     "worlds": "check, generate, count or draw BARN worlds",
     "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE…",
 }

@@ -89,12 +89,12 @@ class ActorSettings:
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """methods: label=policy pairs; a policy is "default", a policy file, "set:name=value,…" or a published set.
+    """methods: policies by label; a policy is "default", a policy file, "set:name=value,…" or a published set.
 
     worlds: a split, as in `world`. workers: 0 takes one per core.
     """
 
-    methods: tuple[str, ...] = ("default=default",)
+    methods: dict[str, str] = field(default_factory=lambda: {"default": "default"})
     worlds: str = "test"
     trials: int = 10
     workers: int = 0
@@ -137,9 +137,6 @@ class Settings:
         _one_of("protocol", self.protocol, PROTOCOLS)
         if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):
             raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
-        for method in self.evaluation.methods:
-            if "=" not in method:
-                raise ValueError(f"evaluation.methods: got {method!r}; expected label=policy, as in default=default")
 
 
 def load(overrides: Sequence[str]) -> Settings:

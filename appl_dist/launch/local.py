@@ -192,9 +192,8 @@ def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
     from appl_dist.evaluate.main import evaluate
     from appl_dist.learner.main import POLICY_FILE
 
-    methods = [(label, spec) for label, _, spec in (m.partition("=") for m in settings.evaluation.methods)]
     evaluate(
-        [*methods, ("learned", str(folder / POLICY_FILE))],
+        [*settings.evaluation.methods.items(), ("learned", str(folder / POLICY_FILE))],
         worlds_of(settings, settings.evaluation.worlds),
         settings.evaluation.trials,
         folder / "evaluation",

@@ -178,10 +178,9 @@ def evaluate(settings: Settings) -> int:
     """Compare the configured methods; prints the tables and writes the results."""
     from appl_dist.evaluate.main import evaluate as run
 
-    methods = [(label, spec) for label, _, spec in (m.partition("=") for m in settings.evaluation.methods)]
     folder = settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S")
     run(
-        methods,
+        list(settings.evaluation.methods.items()),
         worlds_of(settings, settings.evaluation.worlds),
         settings.evaluation.trials,
         folder,

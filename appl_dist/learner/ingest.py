@@ -33,7 +33,10 @@ class LimiterLike(Protocol):
     """The samples-per-insert limiter."""
 
     def may_insert(self, transitions: int) -> bool:
-        """Whether `transitions` more may enter now, given how much was learned from those before."""
+        """Whether `transitions` more may enter now, given how much was learned from those before. True counts them."""
+
+    def give_back(self, inserts: int) -> None:
+        """Take back a permission whose insert failed."""
 
 
 @dataclass
@@ -85,7 +88,12 @@ class Ingest:
             retry_s = min(self._retry_s * max(1.0, len(self._ledgers) / _PROMPT_ACTORS), _LONGEST_RETRY_S)
             reason = "learning is behind collecting"
             return Ack("busy", expected, retry_s, reason, epoch=header.epoch)
-        self._replay.insert(rollout, header.actor, header.seq)
+        try:
+            self._replay.insert(rollout, header.actor, header.seq)
+        except BaseException:
+            if self._limiter is not None:
+                self._limiter.give_back(len(rollout))
+            raise
         ledger.rollouts += 1
         ledger.transitions += len(rollout)
         return Ack("stored", expected + 1, epoch=header.epoch)

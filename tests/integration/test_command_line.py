@@ -1,0 +1,93 @@
+"""What a user gets wrong: one sentence that names it, exit status 2, nothing left half done."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def appl_dist(*arguments: str, cwd: Path, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "appl_dist", *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=timeout_s, check=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["tarin"], "role 'tarin': expected one of train, learner"),
+        (["train", "actor=3"], "actor"),
+        (["train", "nonsense=3"], "nonsense"),
+        (["train", "actors=-1"], "actors: got -1; allowed 0..10000"),
+        (["train", "actors=many"], "actors"),
+        (["train", "learner.gamma=1.5"], "learner.gamma: got 1.5; allowed 0..1"),
+        (["train", "learner.td3.polyak=0"], "polyak: got 0"),
+        (["train", "timing=slow"], "timing"),
+        (["train", "just words"], "'just words': expected key=value"),
+        (["train", "world.path=/no/such/worlds"], "/no/such/worlds"),
+        (["train", "world.train=0:5:-1"], "'0:5:-1'"),
+        (["train", "world.train=4000", "world.count=6"], "4000"),
+        (["train", "run.resume=nowhere"], "nowhere"),
+        (["train", "wire.endpoint=somewhere"], "wire.endpoint: got 'somewhere'; expected tcp/HOST:PORT"),
+        (["train", "protocol=marathon"], "protocol: got 'marathon'; allowed appl"),
+        (["evaluate", "evaluation.methods=mine"], "evaluation.methods"),
+        (["evaluate", "+evaluation.methods.mine=missing.safetensors", "world.count=6"], "missing.safetensors"),
+        (["evaluate", "+evaluation.methods.mine='set:max_vel_x=9'", "world.count=6"], "max_vel_x = 9; dwa allows 0.2..2"),
+        (["conformance", "missing.jsonl.gz"], "missing.jsonl.gz"),
+        (["worlds", "check", "missing.tar.gz"], "missing.tar.gz"),
+    ],
+)
+def test_a_mistake_gets_one_sentence(arguments: list[str], says: str, tmp_path: Path) -> None:
+    result = appl_dist(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert says in lines[0]
+    assert "Traceback" not in result.stderr
+    assert not any(tmp_path.rglob("*.tmp"))
+
+
+def test_a_broken_world_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "worlds").mkdir()
+    (tmp_path / "worlds" / "barn_worlds.npz").write_bytes(b"PK\x03\x04 not really")
+    result = appl_dist("train", "world.path=worlds", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "barn_worlds.npz" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_an_actor_without_a_learner_says_so(tmp_path: Path) -> None:
+    result = appl_dist("actor", "wire.endpoint=tcp/127.0.0.1:9", "wire.timeout_s=1", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "no learner answered at tcp/127.0.0.1:9" in result.stderr
+
+
+def test_a_taken_port_is_told_by_train(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"wire.endpoint=tcp/127.0.0.1:{taken.getsockname()[1]}"
+        result = appl_dist("train", "world.count=6", "actors=1", endpoint, "run.folder=run", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "already in use" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_run_folder_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text("{}")
+    result = appl_dist("train", "run.folder=run", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "run.resume=run" in result.stderr
+
+
+@pytest.mark.parametrize("role", ["train", "learner", "actor", "evaluate"])
+def test_help_lists_groups_and_keys(role: str, tmp_path: Path) -> None:
+    result = appl_dist(role, "--help", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "timing" in result.stdout
+    assert "gazebo, ideal, robot" in result.stdout
+    assert "samples_per_insert" in result.stdout
