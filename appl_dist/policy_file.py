@@ -127,7 +127,7 @@ class PolicyFile:
             header = _read_header(blob)
             tensors = load_tensors(bytes(blob))
             return _from_parts(header, tensors)
-        except (SafetensorError, ValueError) as e:
+        except (SafetensorError, ValueError, OverflowError, RecursionError) as e:
             raise UserError(f"{source}: not a usable policy: {e}") from None
 
     def save(self, path: str | Path) -> None:
@@ -199,6 +199,8 @@ def _space_from_plain(plain: Any) -> ParameterSpace:
         parameters.append(Parameter(_take(row, "name", str, f"{at}.name"), default, low, high, unit, integer))
     if not parameters:
         raise ValueError("space.parameters: is empty")
+    if len({p.name for p in parameters}) < len(parameters):
+        raise ValueError("space.parameters: a name appears twice")
     space = ParameterSpace(name, tuple(parameters))
     known = SPACES.get(name)
     if known is not None and known != space:

@@ -283,7 +283,7 @@ def main() -> int:
         score[row["test"], row["quantity"]] = (won + good, total + 1)
         if not (args.failures and good):
             lines.append(
-                f"{row['test']:20} v {row['v_cmd']:>4} w {row['w_cmd']:>4} {row['condition'][-38:]:38} "
+                f"{row['test']:20} v {row['v_cmd']:>4} w {row['w_cmd']:>4} {row['condition'][:36]:36} "
                 f"{row['quantity']:12} gazebo {gazebo:8.3f} ours {ours:8.3f} {ours - gazebo:+8.3f} "
                 f"{'pass' if good else 'FAIL'}"
             )

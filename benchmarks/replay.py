@@ -1,6 +1,6 @@
 """Replay: inserts and batches per second, size on disk, and what the compact scan costs a policy.
 
-python benchmarks/replay.py [--transitions 200000] [--folder FOLDER]
+python benchmarks/replay.py [--transitions 1000000] [--folder FOLDER]
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def scan_cost() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Speed and size of replay.")
-    parser.add_argument("--transitions", type=int, default=200_000)
+    parser.add_argument("--transitions", type=int, default=1_000_000)
     parser.add_argument("--folder", type=Path, default=None, help="where the disk is; default the system's")
     args = parser.parse_args()
     measure(None, args.transitions)

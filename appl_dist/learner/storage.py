@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
 
-CHUNK_BYTES = 32 << 20
+CHUNK_BYTES = 8 << 20
 
 
 class MappedArray:

@@ -16,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from appl_dist.errors import UserError
 from appl_dist.learner.networks import FlatMLP
 from appl_dist.learner.replay import Batch
 from appl_dist.learner.settings import TD3Settings
@@ -36,7 +37,7 @@ class TD3:
     def __init__(self, settings: TD3Settings, obs_size: int, action_size: int, seed: int = 0) -> None:
         self.settings = settings
         torch.set_num_threads(settings.threads)
-        self.device = torch.device(settings.device)
+        self.device = _usable(settings.device)
         self.precision = _resolve(settings.precision, self.device)
         dtype = torch.bfloat16 if self.precision == "bf16" else torch.float32
         initial = torch.Generator().manual_seed(seed)
@@ -47,7 +48,7 @@ class TD3:
         self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype)
         self.actor_target = copy.deepcopy(self.actor)
         self.critic_target = copy.deepcopy(self.critic)
-        # On a GPU a tensor step counter avoids waiting; fused is one pass over memory on either device.
+        # Fused: one pass over memory, which is what an Adam step costs.
         self.actor_adam = torch.optim.Adam([self.actor.flat], settings.actor_lr, fused=True)
         self.critic_adam = torch.optim.Adam([self.critic.flat], settings.critic_lr, fused=True)
         self.updates = 0
@@ -55,8 +56,15 @@ class TD3:
 
     def update(self, batch: Batch, detail: bool = False) -> Metrics:
         """One training step. `detail` adds norms and action saturation, worth a pass over all parameters."""
-        # Moments of dead units decay into denormals, which are slow; the flag is the calling thread's.
+        # Adam's moments of dead units decay into denormals, which are slow. The flag is the calling thread's,
+        # for numpy too, so it is on for the update only.
         torch.set_flush_denormal(True)
+        try:
+            return self._update(batch, detail)
+        finally:
+            torch.set_flush_denormal(False)
+
+    def _update(self, batch: Batch, detail: bool) -> Metrics:
         obs, action, returns, discounts, next_obs = (
             torch.from_numpy(a).to(self.device)
             for a in (
@@ -179,6 +187,15 @@ def read(metrics: Metrics) -> dict[str, float]:
         if not math.isfinite(value):
             raise Diverged(f"{name} is {value}")
     return numbers
+
+
+def _usable(device: str) -> torch.device:
+    """The device, once it has proved to hold a number."""
+    try:
+        return torch.zeros(1, device=device).device
+    except (RuntimeError, AssertionError) as e:  # torch without CUDA asserts
+        reason = str(e).splitlines()[0]
+        raise UserError(f"learner.td3.device: {device!r} cannot be used: {reason}; allowed cpu, cuda, cuda:N") from None
 
 
 def _resolve(precision: str, device: torch.device) -> str:

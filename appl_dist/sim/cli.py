@@ -26,6 +26,9 @@ def worlds_main(argv: list[str]) -> int:
     make.add_argument("path", type=Path, help="folder to write into; made if it does not exist")
     make.add_argument("--count", type=int, default=300)
     make.add_argument("--seed", type=int, default=0)
+    convert = verbs.add_parser("convert", help="write the compact files of .world files: read in 10 ms, not 7 s")
+    convert.add_argument("path", type=Path, help="folder or tar archive of world_<i>.world and path_files")
+    convert.add_argument("out", type=Path, help="folder to write into")
     stats = verbs.add_parser("stats", help="cylinders, density and difficulty of each of the twelve sets")
     stats.add_argument("path", type=Path)
     draw = verbs.add_parser("draw", help="draw one world")
@@ -41,6 +44,12 @@ def worlds_main(argv: list[str]) -> int:
             raise UserError(f"--count and --seed: got {args.count} and {args.seed}; at least 1 and 0")
         save_worlds(generate_worlds(args.count, args.seed), args.path)
         _say(f"{args.count} worlds of seed {args.seed} in {args.path}")
+    elif args.verb == "convert":
+        worlds = load_worlds(args.path)
+        if [w.index for w in worlds] != list(range(len(worlds))):
+            raise UserError(f"{args.path}: the compact format needs worlds 0, 1, … without a gap")
+        save_worlds(worlds, args.out)
+        _say(f"{len(worlds)} worlds in {args.out}")
     elif args.verb == "stats":
         _say(statistics_table(load_worlds(args.path)))
     else:

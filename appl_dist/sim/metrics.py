@@ -88,7 +88,8 @@ def difficulty(grid: Grid, path: NDArray[np.int64]) -> NDArray[np.float64]:
     """(5,) measures, in the order of NAMES, of an occupancy grid along a path of (m, 2) row, column."""
     blocked = c_space(grid)
     obstacles = np.argwhere(blocked)
-    gaps = np.sqrt(((path[:, None] - obstacles[None]) ** 2).sum(axis=2)).min(axis=1)
+    distances = np.sqrt(((path[:, None] - obstacles[None]) ** 2).sum(axis=2))
+    gaps = distances.min(axis=1, initial=(GRID - 1) // 2)  # as published, and what an empty field has
     steps = _free_steps(blocked, path)
     lengths = np.where(np.abs(_AXES).sum(axis=1) == 2, np.sqrt(2.0), 1.0)
     free = steps * lengths

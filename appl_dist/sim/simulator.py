@@ -1,6 +1,6 @@
 """One Jackal in one BARN world: command in; pose, odometry, scan and contact out.
 
-Free motion is csrc/tyres.c in steps of 1 ms. pybullet is stepped along with it, every 40 ms in the open and every
+Free motion is csrc/tyres.c in steps of 1 ms. pybullet is stepped along with it, every 100 ms in the open and every
 4 ms where the robot could touch something; contacts found there change pose and velocity, and the tyre model goes
 on from them.
 Frames: world = odom at reset; poses are x, y, yaw of base_link with a yaw that is not wrapped.
@@ -19,8 +19,10 @@ from appl_dist.sim.bullet import BulletBody
 from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from appl_dist.sim.worlds import Floats, World
 
-OPEN_MS = 40  # pybullet step where no obstacle is in reach
+OPEN_MS = 100  # pybullet step where no obstacle is in reach
 CONTACT_MS = 4  # and where one is: 8 mm at full speed
+FREE_MS = 20  # how far ahead the way is checked at once
+GLIDE_MS = 20  # how often the ideal drive looks for collisions
 NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
 CLEARANCE_LIMIT_M = 100.0
@@ -97,8 +99,11 @@ class Simulator:
             raise ValueError(f"command: got ({v}, {w}); both must be finite")
         vehicle = self._vehicle
         vehicle.command(v, w, round(1000.0 * command_age_s))
+        if self._body is None:
+            self._glide(ms)
+            return
         while ms > 0:
-            chunk = min(ms, OPEN_MS - self._pending_ms)
+            chunk = min(ms, FREE_MS, OPEN_MS - self._pending_ms)
             if not self._held and vehicle.drive_free(chunk, NEAR_M):
                 self._pending_ms += chunk
                 if self._pending_ms == OPEN_MS:
@@ -107,6 +112,15 @@ class Simulator:
                 self._carry()
                 chunk = min(ms, CONTACT_MS)
                 self._contact_step(chunk)
+            ms -= chunk
+
+    def _glide(self, ms: int) -> None:
+        """The ideal drive goes through obstacles; touching one is all that is noted."""
+        while ms > 0:
+            chunk = min(ms, GLIDE_MS)
+            self._vehicle.drive_free(chunk, 0.0)
+            self.in_collision = self.clearance_m <= 0.0
+            self.collided |= self.in_collision
             ms -= chunk
 
     def _wheel_rates(self) -> tuple[float, float]:
@@ -122,21 +136,14 @@ class Simulator:
         self._pending_ms = 0
         before, now = self._synced, self._vehicle.pose
         self._synced = now
-        if self._body is None:
-            self.in_collision = self.clearance_m <= 0.0
-            self.collided |= self.in_collision
-            return
+        assert self._body is not None
         velocity = ((now[0] - before[0]) / dt_s, (now[1] - before[1]) / dt_s, (now[2] - before[2]) / dt_s)
         self._body.carry(before, velocity, self._wheel_rates(), dt_s)
 
     def _contact_step(self, ms: int) -> None:
         """One step where contacts are possible: predict freely, let pybullet resolve, correct."""
         body, vehicle = self._body, self._vehicle
-        if body is None:  # the ideal drive goes through obstacles; touching one is all that is noted
-            vehicle.drive_free(ms, NEAR_M)
-            self._pending_ms = ms
-            self._carry()
-            return
+        assert body is not None
         before = vehicle.pose
         velocity = vehicle.predict(ms)
         motion = body.step(before, velocity, self._wheel_rates(), 1e-3 * ms)

@@ -12,7 +12,7 @@ import io
 import re
 import tarfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
@@ -110,13 +110,13 @@ def load_worlds(path: str | Path) -> list[World]:
 # The authors' SDF files
 
 
-def _folder_files(folder: Path) -> Iterator[tuple[str, Callable[[], bytes]]]:
+def _folder_files(folder: Path) -> Iterator[tuple[str, bytes]]:
     for file in sorted(folder.rglob("*")):
         if file.is_file() and file.suffix in (".world", ".npy"):
-            yield str(file.relative_to(folder)), file.read_bytes
+            yield str(file.relative_to(folder)), file.read_bytes()
 
 
-def _archive_files(archive: Path) -> Iterator[tuple[str, Callable[[], bytes]]]:
+def _archive_files(archive: Path) -> Iterator[tuple[str, bytes]]:
     """Members are read in memory and only their base names matter: an archive cannot name a place to write."""
     try:
         with tarfile.open(archive) as tar:
@@ -127,21 +127,21 @@ def _archive_files(archive: Path) -> Iterator[tuple[str, Callable[[], bytes]]]:
                     raise UserError(f"{archive}: {member.name} has {member.size} bytes; allowed {MAX_FILE_BYTES}")
                 data = tar.extractfile(member)
                 assert data is not None
-                yield member.name, data.read
+                yield member.name, data.read()
     except (tarfile.TarError, EOFError, OSError) as error:
         raise UserError(f"{archive}: damaged archive ({error})") from error
 
 
-def _load_sdf(source: Path, files: Iterator[tuple[str, Callable[[], bytes]]]) -> list[World]:
+def _load_sdf(source: Path, files: Iterator[tuple[str, bytes]]) -> list[World]:
     cylinders: dict[int, Floats] = {}
     cells: dict[int, NDArray[np.integer]] = {}
-    for name, read in files:
+    for name, data in files:
         world = re.search(r"(?:^|/)world_(\d+)\.world$", name)
         route = re.search(r"(?:^|/)path_(\d+)\.npy$", name)
         if world:
-            cylinders[int(world[1])] = parse_sdf(read(), f"{source}: {name}")
+            cylinders[int(world[1])] = parse_sdf(data, f"{source}: {name}")
         elif route:
-            cells[int(route[1])] = _read_path(read(), f"{source}: {name}")
+            cells[int(route[1])] = _read_path(data, f"{source}: {name}")
     if not cylinders:
         raise UserError(f"{source}: holds no world_<i>.world file")
     if missing := sorted(set(cylinders) - set(cells)):
@@ -181,15 +181,16 @@ class _SdfReader:
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end
-        self.parser.CharacterDataHandler = self._data
 
     def fail(self, reason: str) -> UserError:
         return UserError(f"{self.where}, line {self.parser.CurrentLineNumber}: {reason}")
 
     def _start(self, tag: str, _: dict[str, str]) -> None:
         self.stack.append(tag)
-        self.text = ""
-        if tag == "model":
+        if tag in ("pose", "radius"):  # most of the file is text that nobody reads
+            self.text = ""
+            self.parser.CharacterDataHandler = self._data
+        elif tag == "model":
             self.model = {}
         elif tag == "cylinder" and "collision" in self.stack:
             self.model["cylinder"] = []
@@ -207,6 +208,7 @@ class _SdfReader:
         return numbers
 
     def _end(self, tag: str) -> None:
+        self.parser.CharacterDataHandler = None
         parent = self.stack[-2] if len(self.stack) > 1 else ""
         if tag == "pose" and parent == "model":
             self.model["pose"] = self._numbers(6)

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from appl_dist.actor.policy import MLPPolicy
+from appl_dist.errors import UserError
 from appl_dist.learner.replay import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3, Diverged, read
@@ -202,11 +203,23 @@ def test_detail_adds_norms_and_saturation() -> None:
     assert found["norm/critic_gradient"] > 0.0
 
 
+def test_an_update_leaves_the_callers_arithmetic_alone() -> None:
+    learner = TD3(SMALL, 4, 2)
+    learner.update(random_batch(np.random.default_rng(0)))
+    assert np.float32(1e-38) / np.float32(10) > 0  # denormals, which the update flushes to 0
+
+
 def test_divergence_is_named() -> None:
     learner = TD3(SMALL, 4, 2)
     learner.critic.flat[0] = math.nan
     with pytest.raises(Diverged, match="loss/critic is nan"):
         read(learner.update(random_batch(np.random.default_rng(0))))
+
+
+@pytest.mark.parametrize("device", ["gpu", "cuda:99"])
+def test_a_device_that_is_not_there_is_named(device: str) -> None:
+    with pytest.raises(UserError, match=f"device: '{device}' cannot be used: .*; allowed cpu, cuda"):
+        TD3(dataclasses.replace(SMALL, device=device), 4, 2)
 
 
 @pytest.mark.parametrize(
