@@ -73,7 +73,9 @@ def main() -> None:
     real = dict(REAL_MS)
     if args.parameters == "random":
         real["control"] = REAL_RANDOM_CONTROL_MS
-    print(f"{'stage':12}{'mean ms':>9}{'median':>9}{'p99':>9}{'real C++':>10}{'ratio':>7}   {args.parameters} parameters")
+    print(
+        f"{'stage':12}{'mean ms':>9}{'median':>9}{'p99':>9}{'real C++':>10}{'ratio':>7}   {args.parameters} parameters"
+    )
     per_second = {}
     for stage in ("scan", "local map", "global map", "plan", "control"):
         ms = np.array(times[stage])
