@@ -2,8 +2,9 @@
 
 #include <string.h>
 
-static double towards(double target, double now, double step) {  // computeNewVelocity
-    return target - now >= 0 ? fmin(target, now + step) : fmax(target, now - step);
+static inline double towards(double target, double now, double step) {  // computeNewVelocity
+    if (target - now >= 0) return now + step < target ? now + step : target;
+    return now - step > target ? now - step : target;
 }
 
 int simulate_steps(const rollout_planner *p, double v, double w) {
