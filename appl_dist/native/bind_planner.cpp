@@ -4,6 +4,8 @@
 #include <nanobind/stl/string.h>
 
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <memory>
 #include <string>
 #include <vector>
@@ -27,30 +29,28 @@ nb::object owned(std::vector<T> values, std::initializer_list<size_t> shape) {
     return nb::cast(nb::ndarray<nb::numpy, T>(keep->data(), shape, owner));
 }
 
+[[noreturn]] void refuse(const planner_limit &bad) {
+    char text[160];
+    std::snprintf(text, sizeof text, "%s: got %g; allowed %g..%g", bad.name, bad.value, bad.low, bad.high);
+    throw nb::value_error(text);
+}
+
 planner_settings settings_of(nb::handle from) {
     planner_settings s;
 #define READ(name) s.name = nb::cast<double>(nb::float_(from.attr(#name)));
     PLANNER_SETTINGS(READ)
 #undef READ
-    if (const char *bad = navigator_check_settings(&s))
-        throw nb::value_error((std::string(bad) + ": the planner's settings cannot have this value").c_str());
+    planner_limit bad;
+    if (!navigator_check_settings(&s, &bad)) refuse(bad);
     return s;
 }
 
 planner_parameters parameters_of(const Array &values, const planner_settings &set) {
     const double *v = checked<const double>(values, "values", {8});
     const planner_parameters p = {v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]};
-    const char *bad = navigator_check_parameters(&set, &p);
-    if (!bad) return p;
-    static const struct { const char *name, *range; } allowed[8] = {
-        {"max_vel_x", "0..20 m/s"}, {"max_vel_theta", "0..20 rad/s"}, {"vx_samples", "1..300"},
-        {"vtheta_samples", "1..300"}, {"occdist_scale", "0..5"}, {"pdist_scale", "0..5"}, {"gdist_scale", "0..5"},
-        {"inflation_radius", "0..20 cells of the map"}};
-    for (int i = 0; i < 8; ++i)
-        if (std::string(bad) == allowed[i].name)
-            throw nb::value_error((std::string(bad) + ": got " + std::to_string(v[i]) + "; allowed " +
-                                   allowed[i].range).c_str());
-    throw nb::value_error(bad);
+    planner_limit bad;
+    if (!navigator_check_parameters(&set, &p, &bad)) refuse(bad);
+    return p;
 }
 
 class Planner {

@@ -48,9 +48,9 @@ typedef struct {
     unsigned cycles;
 } navigator;
 
-// NULL when all is well, else the name of the first setting or parameter that cannot be.
-const char *navigator_check_settings(const planner_settings *set);
-const char *navigator_check_parameters(const planner_settings *set, const planner_parameters *par);
+// False, and `bad` names the first field out of its range.
+bool navigator_check_settings(const planner_settings *set, planner_limit *bad);
+bool navigator_check_parameters(const planner_settings *set, const planner_parameters *par, planner_limit *bad);
 
 size_t navigator_bytes(const planner_settings *set);
 navigator *navigator_init(void *memory, const planner_settings *set, const planner_parameters *par);

@@ -35,3 +35,9 @@ enum {
     INFLATION_CELLS_MAX = 20,     // 1 m at 0.05 m
     VELOCITY_MAX = 20,            // BaseLocalPlanner.cfg, m/s and rad/s
 };
+
+// A field that is not what it may be.
+typedef struct {
+    const char *name;
+    double value, low, high;
+} planner_limit;

@@ -1,0 +1,12 @@
+// Memory of a navigator: laid out by running the same walk twice, once to count, once to hand out.
+#pragma once
+#include "navigator.h"
+
+typedef struct {
+    char *base;  // NULL: only count
+    size_t used;
+} arena;
+
+void *layout_grab(arena *a, size_t bytes);
+// Points every array of `n` into the arena.
+void layout_navigator(navigator *n, const planner_settings *set, arena *a);
