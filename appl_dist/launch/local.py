@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 CONFIG_FILE = "config.json"
 POLL_S = 1.0
 LOG_LINE_S = 10.0  # between lines where there is no terminal to draw on
-LEARNER_START_S = 60.0
+CONNECT_S = 2.0
 STOP_S = 20.0
 
 
@@ -138,7 +138,7 @@ def _watch(
                     notes.append(f"{child.name} was restarted ({child.restarts}); see {child.log_file}")
             try:
                 if session is None:
-                    session = open_session(replace(settings.wire, timeout_s=LEARNER_START_S), listen=False)
+                    session = open_session(replace(settings.wire, timeout_s=CONNECT_S), listen=False)
                 if run_id is None:
                     run_id, _ = fetch_run(session, 1.0)
                 status = fetch_status(session, run_id, 2.0)
