@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Callable
 
@@ -25,6 +26,8 @@ def main(argv: list[str] | None = None) -> int:
         print(_usage())
         return 0
     role, rest = arguments[0], arguments[1:]
+    # One process is one core's worth of work; numpy reads this when it is first imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S")
     try:
         if role not in ROLES:

@@ -2,13 +2,14 @@
 
     python benchmarks/actor_throughput.py --worlds ../shared/barn --seconds 20 --processes 1 2
 
-Everything of a real actor except the wire: exploration noise, a policy forward of the papers' network, every planner stage.
-Two plain busy loops run beside two actors tell what two cores of this machine are worth.
+Everything of a real actor except the wire: exploration noise, a policy forward of the papers' network, every
+planner stage. Two plain busy loops tell what two cores of this machine are worth.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import multiprocessing
 import subprocess
 import sys
@@ -51,7 +52,7 @@ def papers_policy(rng: np.random.Generator) -> Any:
     from appl_dist.spec import OBSERVATION_SIZE
 
     sizes = [OBSERVATION_SIZE, 512, 512, 512, 8]
-    weights = tuple(rng.normal(0, 1 / np.sqrt(i), (o, i)).astype(np.float32) for i, o in zip(sizes, sizes[1:]))
+    weights = tuple(rng.normal(0, 1 / np.sqrt(i), (o, i)).astype(np.float32) for i, o in itertools.pairwise(sizes))
     return MLPPolicy(PolicyFile(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:])))
 
 
@@ -128,7 +129,7 @@ def main() -> None:
     subprocess.run([sys.executable, "-c", "import appl_dist.actor.main, appl_dist.config"], check=True)
     print(f"start-up (interpreter and imports of an actor): {time.perf_counter() - start:.2f} s")
 
-    [(n, sim_s, episodes, wall, memory, seconds, calls)] = together(
+    [(_, sim_s, episodes, wall, memory, seconds, calls)] = together(
         run_actor, [(a.worlds, a.timing, a.seconds, 0, True)]
     )
     print(f"\nwhere the time goes, {a.timing} timing, {episodes} episodes, {sim_s:.0f} simulated seconds")
@@ -139,9 +140,8 @@ def main() -> None:
         print(f"{stage:<16}{1000 * s / sim_s:>20.3f}{s / wall:>8.1%}{count:>18}")
 
     single = 0.0
-    print(
-        f"\n{'processes':<10}{'transitions/s':>14}{'x real time':>12}{'x paper CPU':>12}{'MiB each':>10}{'speed-up':>10}"
-    )
+    columns = ("processes", "transitions/s", "x real time", "x paper CPU", "MiB each", "speed-up")
+    print("\n" + "".join(f"{c:>15}" for c in columns))
     for k in a.processes:
         results = together(run_actor, [(a.worlds, a.timing, a.seconds, i, False) for i in range(k)])
         rate = sum(n / w for n, _, _, w, *_ in results)
@@ -149,7 +149,7 @@ def main() -> None:
         memory = max(m for *_, m, _, _ in results)
         single = single or rate / k
         per_cpu = rate / k / PAPER_TRANSITIONS_PER_CPU_S
-        print(f"{k:<10}{rate:>14.1f}{real:>12.0f}{per_cpu:>12.0f}{memory:>10.0f}{rate / single:>10.2f}")
+        print(f"{k:>15}{rate:>15.1f}{real:>15.0f}{per_cpu:>15.0f}{memory:>15.0f}{rate / single:>15.2f}")
     for k in a.processes:
         loops = together(busy, [(3.0,)] * k)
         print(f"{k} plain busy loop(s): {sum(loops) / 3e6:.1f} M increments/s")

@@ -24,8 +24,8 @@ PAST_PATH_END_M = 5.0  # `appl`, `ros_jackal`: the move_base goal lies this far 
 class Protocol:
     """One set of rules of a trial.
 
-    start_x_m, start_y_m: start; None for x takes the x of the reference path's first cell, under the published transform
-    (`World.path_official`): it lies 0.15 m and 0.10 m off the cylinders, but the recorded runs started there.
+    start_x_m, start_y_m: start; None for x takes the x of the reference path's first cell, under the published
+    transform (`World.path_official`): 0.15 m and 0.10 m off the cylinders, but the recorded runs started there.
     goal_ahead_m: goal = start + (0, goal_ahead_m); None puts it PAST_PATH_END_M past the path's end.
     success_y_m: success once y exceeds it; None succeeds within goal_radius_m of the goal instead.
     limit_s: time limit, counted (like the trial's time) from clock_starts_after_m of motion on.

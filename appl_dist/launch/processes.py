@@ -51,7 +51,7 @@ class Child:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, PARENT_VARIABLE: str(os.getpid()), "OMP_NUM_THREADS": "1"},
+                env={**os.environ, PARENT_VARIABLE: str(os.getpid())},
                 start_new_session=True,  # Ctrl-C reaches the launcher, which ends the children in order
             )
         self.started_at = time.monotonic()

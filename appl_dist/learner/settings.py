@@ -52,8 +52,9 @@ class LearnerSettings:
     """The learner process around `TD3`.
 
     gamma, n_step: of the n-step returns that replay computes. replay_capacity: transitions.
-    samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many transitions either
-    side may run ahead. min_transitions: collected before learning starts. Periods in seconds; detail_every in updates.
+    samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many
+    transitions either side may run ahead. min_transitions: collected before learning starts. Periods in
+    seconds; detail_every in updates.
     """
 
     td3: TD3Settings = field(default_factory=TD3Settings)

@@ -35,7 +35,10 @@ def appl_dist(*arguments: str, cwd: Path, timeout_s: float = 60.0) -> subprocess
         (["train", "protocol=marathon"], "protocol: got 'marathon'; allowed appl"),
         (["evaluate", "evaluation.methods=mine"], "evaluation.methods"),
         (["evaluate", "+evaluation.methods.mine=missing.safetensors", "world.count=6"], "missing.safetensors"),
-        (["evaluate", "+evaluation.methods.mine='set:max_vel_x=9'", "world.count=6"], "max_vel_x = 9; dwa allows 0.2..2"),
+        (
+            ["evaluate", "+evaluation.methods.mine='set:max_vel_x=9'", "world.count=6"],
+            "max_vel_x = 9; dwa allows 0.2..2",
+        ),
         (["conformance", "missing.jsonl.gz"], "missing.jsonl.gz"),
         (["worlds", "check", "missing.tar.gz"], "missing.tar.gz"),
     ],

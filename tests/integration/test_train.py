@@ -14,6 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+
 from appl_dist.learner.replay import Replay
 from appl_dist.policy_file import PolicyFile
 
@@ -85,7 +86,11 @@ def accounts(folder: Path) -> dict[str, tuple[int, int, int]]:
         for spool in sorted((folder / "spool").iterdir()):
             numbered = json.loads((spool / "spool.json").read_text())["next_seq"]
             pending = [int(p.name.split(".")[0]) for p in spool.iterdir() if p.name.split(".")[0].isdigit()]
-            result[spool.name] = (max([numbered, *(s + 1 for s in pending)]), len(pending), replay.expected_seq(spool.name))
+            result[spool.name] = (
+                max([numbered, *(s + 1 for s in pending)]),
+                len(pending),
+                replay.expected_seq(spool.name),
+            )
         return result
 
 
