@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+BARN ?= $(wildcard ../shared/barn)
 NATIVE := $(shell find appl_dist -name '*.c' -o -name '*.cpp' -o -name '*.h') appl_dist/native/CMakeLists.txt
 ARGS ?=
 
@@ -28,6 +29,28 @@ lint: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The comparisons of benchmarks/README.md that take minutes; the long ones are listed there with their commands.
+bench: venv
+	$(BIN)/python benchmarks/actor_throughput.py --worlds "$(BARN)"
+	$(BIN)/python benchmarks/planner_cycle.py
+	$(BIN)/python benchmarks/td3_update.py
+	$(BIN)/python benchmarks/replay.py
+	$(BIN)/python benchmarks/wire.py
+
+# The C core under AddressSanitizer and UndefinedBehaviorSanitizer, in a build folder and an import path of its own.
+ASAN_TESTS ?= tests/unit/planner tests/unit/sim tests/property tests/conformance
+asan: venv
+	cmake -S appl_dist/native -B build-asan -G Ninja -DAPPL_SANITIZE=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+		-DPython_EXECUTABLE=$(abspath $(BIN)/python)
+	cmake --build build-asan
+	rm -rf build-asan/tree && mkdir -p build-asan/tree
+	cp -r appl_dist conf tests pyproject.toml build-asan/tree
+	cp build-asan/_native*.so build-asan/tree/appl_dist
+	ln -sfn $(abspath ../shared) build-asan/shared
+	cd build-asan/tree && ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
+		LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
+		PYTHONPATH=$(abspath build-asan/tree) $(abspath $(BIN)/python) -P -m pytest -p no:cacheprovider $(ASAN_TESTS)
 
 clean:
 	rm -rf $(VENV) build build-asan .pytest_cache .mypy_cache .ruff_cache .hypothesis
