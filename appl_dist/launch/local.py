@@ -131,7 +131,7 @@ def _watch(
                 return True
             for child in children:
                 if child.returncode() == USER_ERROR:
-                    raise UserError(f"{child.name} stopped: {child.last_words()}")
+                    raise UserError(f"{child.name} stopped: {child.last_words().partition(': ')[2]}")
                 before = child.restarts
                 child.supervise()
                 if child.restarts > before:

@@ -78,11 +78,17 @@ def learner(settings: Settings) -> int:
     die_with_parent()
     stop = stop_event()
     with open_session(settings.wire, listen=True) as session:
-        part = build_learner(settings, session)
         try:
-            part.run(stop.is_set)
-        finally:
-            part.close()
+            part = build_learner(settings, session)
+            try:
+                part.run(stop.is_set)
+            finally:
+                part.close()
+        except OSError as error:
+            raise UserError(
+                f"run folder: cannot write {error.filename or ''} ({error.strerror}); what was acknowledged is kept, "
+                "free some space and continue with run.resume"
+            ) from None
     return 0
 
 
