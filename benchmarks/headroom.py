@@ -34,12 +34,12 @@ from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.timing import IDEAL, TimingSettings
 from appl_dist.actor.worldset import select_worlds
 from appl_dist.errors import UserError
-from appl_dist.evaluate.output import write_atomic
 from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, make_methods
 from appl_dist.evaluate.statistics import collect, compare, summarise
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Job, Method, Trial, run_jobs, trial_seed
+from appl_dist.files import write_atomic
 from appl_dist.spec import DWA
 
 TIMINGS = {"gazebo": TimingSettings(), "robot": TimingSettings(cpu_factor=6.0), "ideal": IDEAL}

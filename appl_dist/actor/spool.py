@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from appl_dist.errors import UserError
+from appl_dist.files import write_atomic
 
 log = logging.getLogger(__name__)
 
@@ -220,13 +221,7 @@ class Spool:
         self._write(self.folder / "spool.json", json.dumps(values).encode())
 
     def _write(self, path: Path, data: bytes) -> None:
-        partial = path.with_name(path.name + ".tmp")
-        try:
-            partial.write_bytes(data)
-            os.replace(partial, path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise self._cannot_write(error) from error
+        write_atomic(path, data)
 
     def _cannot_write(self, error: OSError) -> UserError:
         return UserError(f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
 from appl_dist.evaluate.analysis import DEFAULT, FIXED, Analysis
-from appl_dist.evaluate.output import write_atomic
+from appl_dist.files import write_atomic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,11 +19,11 @@ from rich.console import Console
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.errors import UserError
 from appl_dist.evaluate.analysis import Analysis, analyse, as_dict
-from appl_dist.evaluate.output import write_atomic
 from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, make_methods
 from appl_dist.evaluate.tables import mean_table, wins_table
 from appl_dist.evaluate.trials import Trial, run_trials
+from appl_dist.files import write_atomic
 from appl_dist.sim.worlds import World
 
 log = logging.getLogger(__name__)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import signal
 import sys
 import time
@@ -18,6 +17,7 @@ from rich.live import Live
 
 from appl_dist.config import Settings, as_dict, cores, from_dict
 from appl_dist.errors import UserError
+from appl_dist.files import write_atomic
 from appl_dist.launch import view
 from appl_dist.launch.processes import USER_ERROR, Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, environment_arguments, stop_event, worlds_of
@@ -61,13 +61,7 @@ def prepare(settings: Settings) -> tuple[Settings, Path]:
         if (folder / CONFIG_FILE).exists():
             raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
         settings = replace(settings, run=replace(settings.run, folder=str(folder)))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        partial = folder / f"{CONFIG_FILE}.tmp"
-        partial.write_text(json.dumps(as_dict(settings), indent=2))
-        os.replace(partial, folder / CONFIG_FILE)
-    except OSError as error:
-        raise UserError(f"run.folder: cannot write to {folder}: {error.strerror}") from None
+    write_atomic(folder / CONFIG_FILE, json.dumps(as_dict(settings), indent=2))
     worlds_of(settings, settings.world.train)  # a wrong path is told here, not by every actor
     worlds_of(settings, settings.evaluation.worlds)
     return settings, folder

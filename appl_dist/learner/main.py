@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from appl_dist.errors import UserError
+from appl_dist.files import write_atomic
 from appl_dist.learner.checkpoint import Checkpoints
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.ingest import Ingest
@@ -171,7 +172,7 @@ class Learner:
         if found is not None:
             self.version = int(found["version"])
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
-        file.write_text(json.dumps({"epoch": epoch}))
+        write_atomic(file, json.dumps({"epoch": epoch}))
         return int(epoch)
 
     def _counts(self) -> dict[str, Any]:

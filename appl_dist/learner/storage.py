@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
+from appl_dist.files import write_atomic
 
 CHUNK_BYTES = 8 << 20
 
@@ -114,9 +115,7 @@ class FolderClaim:
 
     def complete(self) -> None:
         """Record, once every file exists, what they are for."""
-        tmp = self.folder / "meta.json.tmp"
-        tmp.write_text(json.dumps(self.meta))
-        os.replace(tmp, self.folder / "meta.json")
+        write_atomic(self.folder / "meta.json", json.dumps(self.meta))
 
     def release(self) -> None:
         """Let another process have the folder."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
+import io
 import sys
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
+from appl_dist.files import write_atomic
 from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.metrics import NAMES, Grid, c_space
 from appl_dist.sim.worlds import FIELD_ORIGIN, RADIUS_M, SETS, World, field_grid, load_worlds, path_cells
@@ -135,13 +136,9 @@ def _offsets(counts: list[int]) -> NDArray[np.int32]:
 
 
 def _write_npz(file: Path, **arrays: NDArray | np.floating) -> None:
-    temporary = file.with_name(f".{file.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-        os.replace(temporary, file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    write_atomic(file, stream.getvalue())
 
 
 def draw_world(world: World, out: Path) -> None:

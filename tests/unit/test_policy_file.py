@@ -117,5 +117,5 @@ def test_files_that_cannot_be_read_or_written_are_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"none: cannot read policy file: No such file"):
         PolicyFile.load(tmp_path / "none")
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="cannot write policy file"):
+    with pytest.raises(UserError, match="policy: cannot be written"):
         mlp().save(tmp_path / "file" / "policy")

@@ -15,9 +15,9 @@ from rich.console import Console
 from appl_dist.errors import UserError
 from appl_dist.evaluate import figures
 from appl_dist.evaluate.analysis import Analysis, analyse, as_dict
-from appl_dist.evaluate.output import write_atomic
 from appl_dist.evaluate.tables import mean_table, wins_table
 from appl_dist.evaluate.trials import Trial
+from appl_dist.files import write_atomic
 
 GROUPS = {"train": [0, 1, 2], "test": [3]}
 # Mean times in worlds 0..3; trials lie 0.1 s around them, so every difference of a second is significant.
@@ -133,10 +133,10 @@ def test_ecdf_ends_at_the_success_rate() -> None:
 
 def test_learning_curve_shows_the_learners_means_and_the_baselines(tmp_path: Path) -> None:
     file = tmp_path / "metrics.jsonl"
-    rows = [{"transitions": 10 * i, "time_s": 30.0 - i, "success": 0.1 * i} for i in range(1, 4)]
+    rows = [{"step": 10 * i, "episode/time_s": 30.0 - i, "episode/success": 0.1 * i} for i in range(1, 4)]
     lines = [json.dumps(r) for r in rows] + [
         '{"loss": 1}',
-        '{"transitions": 70, "time_s": null, "success": null}',
+        '{"step": 70, "episode/time_s": null, "episode/success": null}',
         '{"tra',
     ]
     file.write_text("\n".join(lines))
@@ -158,7 +158,7 @@ def test_metrics_that_cannot_be_read_are_named(tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_written_keeps_the_old_one(tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
-    with pytest.raises(UserError, match=r"taken: .*same command again"):
+    with pytest.raises(UserError, match=r"taken: cannot be written"):
         write_atomic(tmp_path / "taken", "x")
     assert [p.name for p in tmp_path.iterdir()] == ["taken"]
     write_atomic(tmp_path / "new" / "file", "x")

@@ -1,0 +1,25 @@
+"""Files written whole or not at all. Leaf: the standard library and errors only."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+from appl_dist.errors import UserError
+
+
+def write_atomic(path: Path, data: str | bytes, advice: str = "free some space or choose another folder") -> None:
+    """Replace `path` by `data`, making its folder; a reader sees the old file or the new one, never half of one.
+
+    UserError, ending in `advice`, if it cannot be written; then nothing has changed.
+    """
+    partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_bytes(data.encode() if isinstance(data, str) else data)
+        os.replace(partial, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+        raise UserError(f"{path}: cannot be written ({error.strerror}); {advice}") from None
