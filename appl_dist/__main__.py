@@ -28,7 +28,10 @@ def main(argv: list[str] | None = None) -> int:
     role, rest = arguments[0], arguments[1:]
     # One process is one core's worth of work; numpy reads this when it is first imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S")
+    logging.basicConfig(
+        level=logging.WARNING, format=f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S"
+    )
+    logging.getLogger("appl_dist").setLevel(logging.INFO)
     try:
         if role not in ROLES:
             raise UserError(f"role {role!r}: expected one of {', '.join(ROLES)}")

@@ -94,7 +94,7 @@ class EvaluationSettings:
     worlds: a split, as in `world`. workers: 0 takes one per core.
     """
 
-    methods: dict[str, str] = field(default_factory=lambda: {"default": "default"})
+    methods: dict[str, str] = field(default_factory=dict)
     worlds: str = "test"
     trials: int = 10
     workers: int = 0
@@ -133,6 +133,8 @@ class Settings:
         _allowed("actor.spool_megabytes", self.actor.spool_megabytes, 1, 10**6)
         _allowed("evaluation.trials", self.evaluation.trials, 1, 10_000)
         _allowed("evaluation.workers", self.evaluation.workers, 0, 1024)
+        if not self.evaluation.methods:
+            raise ValueError("evaluation.methods: got none; expected at least one, as in +evaluation.methods.mine=FILE")
         _one_of("env.space", self.env.space, SPACES)
         _one_of("protocol", self.protocol, PROTOCOLS)
         if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):

@@ -35,7 +35,7 @@ STOP_S = 20.0
 def train(settings: Settings) -> int:
     """Run until the run's length is reached or Ctrl-C; status 0 also after Ctrl-C, which leaves a resumable folder."""
     settings, folder = prepare(settings)
-    console = Console()
+    console = view.make_console()
     finished = _serial(settings) if settings.serial else _processes(settings, folder, console)
     if not finished:
         console.print(f"stopped; continue with: appl-dist train run.resume={folder}", highlight=False)

@@ -22,6 +22,7 @@ from appl_dist.actor.worldset import select_worlds
 from appl_dist.config import Settings, as_dict, cores, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
+from appl_dist.launch.view import make_console
 from appl_dist.sim.worlds import World
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
@@ -194,5 +195,6 @@ def evaluate(settings: Settings) -> int:
         environment=environment_arguments(settings),
         workers=settings.evaluation.workers or cores(),
         seed=settings.run.seed,
+        console=make_console(),
     )
     return 0

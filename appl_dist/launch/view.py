@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
+
+PRINTED_WIDTH = 120  # of tables where there is no terminal to ask
+
+
+def make_console() -> Console:
+    """The terminal, or a page wide enough for the tables."""
+    return Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH)
 
 
 def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
