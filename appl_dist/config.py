@@ -59,7 +59,7 @@ class RunSettings:
 class WorldSettings:
     """path: "" generates worlds; else a folder, tarball or npz of BARN worlds. train, test: which worlds.
 
-    A split is "train", "test" (the 250 / 50 of APPLR), "all", or indices and ranges: "0,6,12", "0:50", "0:300:6".
+    A split is "train", "test" (the 250 / 50 of APPLR), "all", or indices and ranges: "0:50", "0:300:6", "'0,6,12'".
     """
 
     path: str = ""
@@ -251,6 +251,7 @@ def _sentence(error: BaseException) -> str:
     first = " ".join(line.strip() for line in str(cause).splitlines()[:1])
     first = re.sub(r"Could not override '([^']+)'\.?", r"\1: no such key.", first)
     first = re.sub(r"Key '[^']+' is not in struct", "no such key; `appl-dist train --help` lists them", first)
+    first = re.sub(r"Ambiguous value for argument '([^']+)'", r"\1: a value with commas needs quotes: key='a,b'", first)
     if key and not first.startswith(str(key)):
         first = f"{key}: {first}"
     return first
