@@ -78,6 +78,10 @@ def learner(settings: Settings) -> int:
 
     die_with_parent()
     stop = stop_event()
+    if not settings.wire.is_loopback and not settings.wire.users_file:
+        log.warning(
+            "%s: anyone who reaches this port can take part; wire.users_file restricts it", settings.wire.endpoint
+        )
     with open_session(settings.wire, listen=True) as session:
         try:
             part = build_learner(settings, session)
