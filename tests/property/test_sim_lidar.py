@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from appl_dist._native import Lidar
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from appl_dist._native import Lidar
 
 coordinate = st.floats(-40.0, 40.0)
 cylinders_of = st.lists(st.tuples(coordinate, coordinate, st.floats(0.01, 3.0)), min_size=0, max_size=12)

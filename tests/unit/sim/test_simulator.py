@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 import psutil
 import pytest
-from appl_dist._native import Vehicle
 
+from appl_dist._native import Vehicle
 from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.robot import RobotSettings
 from appl_dist.sim.simulator import Simulator

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from appl_dist._native import Vehicle
 
+from appl_dist._native import Vehicle
 from appl_dist.sim.robot import RobotSettings
 from tests.shared_data import shared
 
