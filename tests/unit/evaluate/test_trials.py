@@ -123,6 +123,7 @@ def test_full_disk_leaves_whole_rows_and_a_sentence(tmp_path: Path) -> None:
     script = f"""
         import resource, signal
         from appl_dist.errors import UserError
+        import signal
         from appl_dist.evaluate.trials import Method, run_trials
         from tests.unit.evaluate.synthetic import Synthetic
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -146,9 +147,11 @@ def test_full_disk_leaves_whole_rows_and_a_sentence(tmp_path: Path) -> None:
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_no_worker_outlives_an_interrupted_evaluation(tmp_path: Path, how: signal.Signals) -> None:
     script = f"""
+        import signal
         from appl_dist.evaluate.trials import Method, run_trials
         from tests.unit.evaluate.synthetic import Synthetic
         if __name__ == "__main__":
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where a shell runs us in the background
             methods = [Method("default", "default"), Method("fast", "set:fast")]
             run_trials(methods, range(2000), 1, Synthetic(delay_s=0.02), workers=2, folder={str(tmp_path)!r})
     """
