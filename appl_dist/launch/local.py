@@ -124,7 +124,8 @@ def _watch(
             if learner.returncode() == 0:
                 return True
             for child in children:
-                if child.returncode() == USER_ERROR:
+                # A process that has run before was right about its settings: what it meets now may pass.
+                if child.returncode() == USER_ERROR and (child is learner or child.restarts == 0):
                     raise UserError(f"{child.name} stopped: {child.last_words().partition(': ')[2]}")
                 before = child.restarts
                 child.supervise()
