@@ -13,6 +13,9 @@ from appl_dist.wire import keys
 from appl_dist.wire.bus import Bus
 
 
+FREE = float("-inf")  # last spoke: never, so that grace does not hold
+
+
 class Claims:
     """Owners of actor ids, the learner's side.
 
@@ -38,11 +41,17 @@ class Claims:
             return True
 
     def holds(self, actor: str, incarnation: str) -> bool:
-        """Whether `incarnation` owns `actor`; refreshes its claim if so."""
+        """Whether `incarnation` owns `actor`; refreshes its claim if so.
+
+        A claim that was set free stays free until its token returns: what speaks here may be the last words of a
+        process that is gone, and must not keep its successor out.
+        """
         with self._lock:
-            if self._owners.get(actor, ("", 0.0))[0] != incarnation:
+            owner, spoke_s = self._owners.get(actor, ("", 0.0))
+            if owner != incarnation:
                 return False
-            self._owners[actor] = (incarnation, self._clock())
+            if spoke_s != FREE or (actor, incarnation) in self._tokens:
+                self._owners[actor] = (incarnation, self._clock())
             return True
 
     def _seen(self, key: str, present: bool) -> None:
@@ -53,10 +62,7 @@ class Claims:
                 return
             self._tokens.discard((actor, incarnation))
             if self._owners.get(actor, ("", 0.0))[0] == incarnation:
-                self._owners[actor] = (
-                    incarnation,
-                    float("-inf"),
-                )  # free to take, still its own if it returns
+                self._owners[actor] = (incarnation, FREE)  # free to take, still its own if it returns
 
     def close(self) -> None:
         self._watch.close()
