@@ -12,7 +12,6 @@ from collections.abc import Callable
 from appl_dist.wire import keys
 from appl_dist.wire.bus import Bus
 
-
 FREE = float("-inf")  # last spoke: never, so that grace does not hold
 
 
