@@ -39,19 +39,14 @@ static void walk_point(plan_walk *walk, double x, double y) {
     }
 }
 
-void rollout_set_plan(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
-                      double theta, double v) {
+// The part of findBestPath that lays out the grids.
+static void lay_out_waves(rollout_planner *p, const double *plan_x, const double *plan_y, int n, const motion *m,
+                          const grid_box *box) {
     const double res = p->frame.res;
-    p->goal_x = plan_x[n - 1], p->goal_y = plan_y[n - 1];
-    p->path.w = p->goal.w = p->frame.w, p->path.h = p->goal.h = p->frame.h;
-    // Where the roll-outs may end.
-    const double reach = fmin(fmax(p->par.max_vel_x, fabs(v)) * p->set->sim_time / res, WAVE_SIDE_MAX);
-    const int cells = (int)reach + 1, cx = world_to_map_clamped(x, p->frame.ox, p->frame.w, res);
-    const int cy = world_to_map_clamped(y, p->frame.oy, p->frame.h, res);
-    wavefront_reset(&p->path, p->cost, cx - cells, cy - cells, cx + cells, cy + cells);
-    wavefront_reset(&p->goal, p->cost, cx - cells, cy - cells, cx + cells, cy + cells);
+    wavefront_reset(&p->path, &p->frame, p->cost, box);
+    wavefront_reset(&p->goal, &p->frame, p->cost, box);
     footprint_columns robot;
-    if (footprint_fill(&p->shape, &p->frame, x, y, theta, &robot))
+    if (footprint_fill(&p->shape, &p->frame, m->x, m->y, m->th, &robot))
         for (int i = 0; i < robot.count; ++i)
             for (int row = robot.low[i]; row <= robot.high[i]; ++row) wavefront_unblock(&p->path, robot.x0 + i, row);
     plan_walk walk = {.p = p};
@@ -87,12 +82,6 @@ static sample_window dynamic_window(const rollout_planner *p, const motion *m) {
     return k;
 }
 
-// Rates of in-place turns are not below a least one.
-static double in_place(const rollout_planner *p, double w) {
-    const double least = p->set->min_in_place_vel_theta;
-    return w > 0 ? fmax(w, least) : fmin(w, -least);
-}
-
 typedef struct {
     rollout *best, *other;
 } contest;
@@ -106,10 +95,6 @@ static void take(contest *c) {
 static void try_forward(rollout_planner *p, const motion *m, double v, double w, contest *c) {
     simulate(p, *m, v, w, c->other);
     if (c->other->cost >= 0 && (c->other->cost < c->best->cost || c->best->cost < 0)) take(c);
-}
-
-static bool turn_allowed(const rollout_planner *p, double w, double dw) {
-    return (w > dw || w < -dw) && ((w < 0 && !p->stuck_left) || (w > 0 && !p->stuck_right));
 }
 
 static void try_turn(rollout_planner *p, const motion *m, double w, bool allowed, double *ahead, contest *c) {
@@ -140,20 +125,7 @@ static void try_all(rollout_planner *p, const motion *m, const sample_window *k,
     }
     double ahead = DBL_MAX, w = k->min_w;
     for (int j = 0; j < k->nw; ++j, w += k->dw)
-        try_turn(p, m, in_place(p, w), turn_allowed(p, w, k->dw), &ahead, c);
-}
-
-// The same winner, by search.
-static void find_winner(rollout_planner *p, const motion *m, const sample_window *k, contest *c) {
-    const bool possible = search_prepare(p, m);
-    if (!p->escaping) search_forward(p, m, k, possible, c->best);
-    double ahead = DBL_MAX, w = k->min_w;
-    for (int j = 0; j < k->nw; ++j, w += k->dw) {
-        p->rollouts += 1;
-        p->rollout_steps += simulate_steps(p, 0, in_place(p, w));
-        if (possible && turn_allowed(p, w, k->dw)) search_turn(p, m, in_place(p, w), &ahead, c->best);
-    }
-    if (c->best->cost >= 0) simulate_again(p, *m, c->best->v, c->best->w, c->best);
+        try_turn(p, m, turn_rate(p, w), turn_allowed(p, w, k->dw), &ahead, c);
 }
 
 static void forget_oscillation_after(rollout_planner *p, const motion *m) {
@@ -180,15 +152,25 @@ static void remember_turn(rollout_planner *p, const motion *m, const rollout *be
     p->prev_y = m->y;
 }
 
-const rollout *rollout_best(rollout_planner *p, double x, double y, double theta, double v, double w) {
+const rollout *rollout_best(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
+                            double theta, double v, double w) {
     const motion m = {x, y, theta, v, w};
+    p->goal_x = plan_x[n - 1], p->goal_y = plan_y[n - 1];
     const sample_window k = dynamic_window(p, &m);
     contest c = {&p->one, &p->two};
     c.best->cost = c.other->cost = -1;
     c.best->points = c.other->points = 0;
     p->rollouts = p->rollout_steps = 0;
-    if (p->trace) try_all(p, &m, &k, &c);
-    else find_winner(p, &m, &k, &c);
+    if (p->trace) {
+        const grid_box everywhere = {0, 0, p->frame.w - 1, p->frame.h - 1};
+        lay_out_waves(p, plan_x, plan_y, n, &m, &everywhere);
+        try_all(p, &m, &k, &c);
+    } else {
+        const grid_box ends = search_start(p, &m, &k, !p->escaping);
+        lay_out_waves(p, plan_x, plan_y, n, &m, &ends);
+        search_best(p, &m, &k, !p->escaping, c.best);
+        if (c.best->cost >= 0) simulate_again(p, m, c.best->v, c.best->w, c.best);
+    }
 
     if (c.best->cost >= 0) {
         remember_turn(p, &m, c.best);

@@ -26,6 +26,8 @@ typedef struct {
     struct candidate *candidates;  // (SEARCH_SAMPLES)
     int32_t *heap;                 // (SEARCH_SAMPLES) indices of candidates, the lowest bound first
     int open;                      // of them
+    int used, row, column;         // candidates made; the sample after them
+    double v, w;
     uint8_t *near_max;             // (near_h, near_w) highest cost in reach of a robot centred in a block of cells
     uint8_t *near_tmp;
     int near_w, near_h;
@@ -60,11 +62,10 @@ typedef struct {
 void rollout_reset(rollout_planner *p);
 void rollout_set_parameters(rollout_planner *p, const planner_parameters *par);
 
-// The plan of this cycle, (n) points: updatePlan and the part of findBestPath that lays out the grids.
-void rollout_set_plan(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
-                      double theta, double v);
-// The best roll-out; its arrays are valid until the next call. Poses and twist as truncated to float by ROS.
-const rollout *rollout_best(rollout_planner *p, double x, double y, double theta, double v, double w);
+// updatePlan and findBestPath: the best roll-out along a plan of n points. Its arrays are valid until the next call.
+// Poses and twist as truncated to float by ROS.
+const rollout *rollout_best(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
+                            double theta, double v, double w);
 // TrajectoryPlanner::checkTrajectory
 bool rollout_check(rollout_planner *p, double x, double y, double theta, double v, double w, double v_sample,
                    double w_sample);

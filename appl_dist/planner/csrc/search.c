@@ -1,5 +1,6 @@
 #include "search.h"
 
+#include <float.h>
 #include <string.h>
 
 // What is known of a candidate's cost.
@@ -69,20 +70,14 @@ static void build_near_max(rollout_planner *p) {
     spread_max(s->near_max, s->near_tmp, s->near_w * s->near_h, reach, s->near_w);
 }
 
-bool search_prepare(rollout_planner *p, const motion *m) {
+// The cost of the pose all samples start from; negative when it is not legal, so none of them is.
+static int start_cost(rollout_planner *p, const motion *m) {
     const grid_frame *g = &p->frame;
-    sample_search *s = &p->search;
     int cx, cy;
-    s->per_res = 1.0 / g->res;
-    if (!world_to_map(g, m->x, m->y, &cx, &cy)) return false;
+    if (!world_to_map(g, m->x, m->y, &cx, &cy) || !wavefront_open(&p->goal, cx, cy)) return -1;
     const int outline = footprint_outline_cost(&p->shape, g, p->cost, m->x, m->y, cos(m->th), sin(m->th));
-    if (outline < 0) return false;
-    if (wavefront_distance(&p->path, cx, cy) >= WAVE_LIMIT) return false;
-    if (wavefront_distance(&p->goal, cx, cy) >= WAVE_LIMIT) return false;
     const int centre = p->cost[cy * g->w + cx];
-    s->start_occ = outline > centre ? outline : centre;
-    build_near_max(p);
-    return true;
+    return outline > centre || outline < 0 ? outline : centre;
 }
 
 static inline bool nothing_dearer_near(const rollout_planner *p, int cx, int cy, int occ) {
@@ -102,8 +97,7 @@ static int point_cost(rollout_planner *p, const motion *m, const arc *way, int s
     int cx, cy;
     const int known = arc_cell(g, per_res, at.x, at.y, &cx, &cy);
     if (known <= 0) return known - 1;
-    if (wavefront_distance(&p->path, cx, cy) >= WAVE_LIMIT || wavefront_distance(&p->goal, cx, cy) >= WAVE_LIMIT)
-        return OFF_LIMITS;
+    if (!wavefront_open(&p->goal, cx, cy)) return OFF_LIMITS;
     if (nothing_dearer_near(p, cx, cy, occ)) return occ;
     double sine, cosine;
     arc_sincos(at.th, &sine, &cosine);
@@ -118,12 +112,32 @@ static int point_cost(rollout_planner *p, const motion *m, const arc *way, int s
     return outline > centre || outline < 0 ? outline : centre;
 }
 
+// Whether both waves reach every point, given that they reach the last. Cells open to the goal's wave are open to the
+// path's, and among open neighbours all are reached if one is; so as a rule no wave has to come here.
+static verdict reached(rollout_planner *p, const motion *m, const arc *way) {
+    int x = -1, y = -1;
+    for (int i = way->steps - 1; i >= 0; --i) {
+        const arc_pose at = arc_at(way, p->set, m, i);
+        int cx, cy;
+        const int known = arc_cell(&p->frame, p->search.per_res, at.x, at.y, &cx, &cy);
+        if (known <= 0) return known == 0 ? ILLEGAL : UNDECIDED;
+        const int dx = abs(cx - x), dy = abs(cy - y);
+        const bool linked = dx + dy <= 1 || (dx == 1 && dy == 1 && (wavefront_open(&p->goal, x, cy) ||
+                                                                   wavefront_open(&p->goal, cx, y)));
+        x = cx, y = cy;
+        if (linked || i == way->steps - 1) continue;
+        if (wavefront_distance(&p->path, x, y) >= WAVE_LIMIT || wavefront_distance(&p->goal, x, y) >= WAVE_LIMIT)
+            return ILLEGAL;
+    }
+    return DONE;
+}
+
 // Looks at points until the bound passes `enough` (among equals, until `order` is no longer the first), or all are seen.
 static verdict look(rollout_planner *p, const motion *m, candidate *c, double enough, int order) {
     const int n = c->way.steps;
     for (;;) {
         if (c->back >= n) {
-            if (c->gap == 1) return DONE;
+            if (c->gap == 1) return reached(p, m, &c->way);
             c->gap /= 2;
             c->back = c->gap;
             continue;
@@ -139,12 +153,16 @@ static verdict look(rollout_planner *p, const motion *m, candidate *c, double en
     }
 }
 
-// A sample with its first bound. UNDECIDED: only stepping through it tells.
-static verdict begin(rollout_planner *p, const motion *m, double v, double w, int steps, candidate *c) {
+// Where the sample ends. UNDECIDED: only stepping through it tells.
+static verdict begin(const rollout_planner *p, const motion *m, double v, double w, int steps, candidate *c) {
+    c->way.v = v, c->way.w = w;
     if (!arc_make(&c->way, p->set, m, v, w, steps)) return UNDECIDED;
     const arc_pose end = arc_at(&c->way, p->set, m, steps - 1);
     const int known = arc_cell(&p->frame, p->search.per_res, end.x, end.y, &c->x, &c->y);
-    if (known <= 0) return known == 0 ? ILLEGAL : UNDECIDED;
+    return known == 1 ? OPEN : known == 0 ? ILLEGAL : UNDECIDED;
+}
+
+static verdict first_bound(rollout_planner *p, candidate *c) {
     c->path = wavefront_at_least(&p->path, c->x, c->y);
     c->goal = wavefront_at_least(&p->goal, c->x, c->y);
     if (c->path >= WAVE_LIMIT || c->goal >= WAVE_LIMIT) return ILLEGAL;
@@ -203,42 +221,66 @@ static void settle(rollout_planner *p, const motion *m, rollout *best) {
     s->open = 0;
 }
 
-void search_forward(rollout_planner *p, const motion *m, const sample_window *k, bool possible, rollout *best) {
+// The forward samples in ROS's order, SEARCH_SAMPLES at a time: each speed with rate 0, then with the rates but the
+// highest.
+static void next_samples(rollout_planner *p, const motion *m, const sample_window *k) {
     sample_search *s = &p->search;
-    int used = 0;
-    double v = k->min_v;
-    s->open = 0;
-    for (int i = 0; i < k->nv; ++i, v += k->dv) {
-        double rate = k->min_w;
-        for (int j = 0; j < k->nw; ++j) {
+    s->used = 0;
+    for (; s->row < k->nv; ++s->row, s->v += k->dv, s->column = 0) {
+        for (; s->column < k->nw; ++s->column) {
+            if (s->used == SEARCH_SAMPLES) return;
             double w = 0;
-            if (j > 0) w = rate, rate += k->dw;
-            const int steps = simulate_steps(p, v, w);
+            if (s->column == 1) w = s->w = k->min_w;
+            if (s->column > 1) w = s->w += k->dw;
+            const int steps = simulate_steps(p, s->v, w);
             p->rollouts += 1;
             p->rollout_steps += steps;
-            if (!possible) continue;
-            candidate *c = &s->candidates[used];
-            c->order = used;
-            verdict found = begin(p, m, v, w, steps, c);
-            if (found == UNDECIDED) {
-                c->way.v = v, c->way.w = w;
-                c->bound = step_through(p, m, v, w, &p->probe);
-                c->stage = SCORED;
-                found = c->bound < 0 ? ILLEGAL : OPEN;
-            }
+            candidate *c = &s->candidates[s->used];
+            const verdict found = begin(p, m, s->v, w, steps, c);
             if (found == ILLEGAL) continue;
-            s->heap[s->open++] = used++;
-            if (used == SEARCH_SAMPLES) settle(p, m, best), used = 0;
+            c->order = s->used++;
+            c->stage = found == UNDECIDED ? SCORED : FIRST_BOUND;
         }
+    }
+}
+
+static void score_samples(rollout_planner *p, const motion *m, rollout *best) {
+    sample_search *s = &p->search;
+    s->open = 0;
+    for (int i = 0; i < s->used; ++i) {
+        candidate *c = &s->candidates[i];
+        if (c->stage == SCORED) c->bound = step_through(p, m, c->way.v, c->way.w, &p->probe);
+        else if (first_bound(p, c) == ILLEGAL) continue;
+        if (c->bound >= 0) s->heap[s->open++] = i;
     }
     settle(p, m, best);
 }
 
-// Whether the turn is legal and cheap enough, and what lies ahead of its end.
+grid_box search_start(rollout_planner *p, const motion *m, const sample_window *k, bool forward) {
+    sample_search *s = &p->search;
+    const grid_frame *g = &p->frame;
+    const int x = world_to_map_clamped(m->x, g->ox, g->w, g->res), y = world_to_map_clamped(m->y, g->oy, g->h, g->res);
+    grid_box box = {x, y, x, y};
+    s->per_res = 1.0 / g->res;
+    s->row = s->column = s->used = 0;
+    s->v = k->min_v;
+    if (forward) next_samples(p, m, k);
+    for (int i = 0; i < s->used; ++i) {
+        const candidate *c = &s->candidates[i];
+        if (c->stage == SCORED || p->cost[c->y * g->w + c->x] >= COST_INSCRIBED) continue;
+        box.x0 = c->x < box.x0 ? c->x : box.x0, box.x1 = c->x > box.x1 ? c->x : box.x1;
+        box.y0 = c->y < box.y0 ? c->y : box.y0, box.y1 = c->y > box.y1 ? c->y : box.y1;
+    }
+    return box;
+}
+
+// An in-place turn is taken when it is not dearer than the best so far and the goal distance ahead of its last point is
+// below *ahead, which it becomes.
 static verdict score_turn(rollout_planner *p, const motion *m, double w, double most, double *ahead, double *cost) {
     candidate c;
     const double reach = p->set->heading_lookahead;
     verdict found = begin(p, m, 0, w, simulate_steps(p, 0, w), &c);
+    if (found == OPEN) found = first_bound(p, &c);
     if (found != OPEN) return found;
     if (c.bound > most) return ILLEGAL;
     c.path = wavefront_distance(&p->path, c.x, c.y);
@@ -275,10 +317,27 @@ static verdict step_through_turn(rollout_planner *p, const motion *m, double w, 
     return DONE;
 }
 
-void search_turn(rollout_planner *p, const motion *m, double w, double *ahead, rollout *best) {
+static void try_turn(rollout_planner *p, const motion *m, double w, double *ahead, rollout *best) {
     const double most = best->cost >= 0 ? best->cost : INFINITY;
-    double cost;
+    double cost = 0;
     verdict found = score_turn(p, m, w, most, ahead, &cost);
     if (found == UNDECIDED) found = step_through_turn(p, m, w, most, ahead, &cost);
     if (found == DONE) best->v = 0, best->w = w, best->cost = cost;
+}
+
+void search_best(rollout_planner *p, const motion *m, const sample_window *k, bool forward, rollout *best) {
+    p->search.start_occ = start_cost(p, m);
+    const bool possible = p->search.start_occ >= 0;
+    if (possible) build_near_max(p);
+    while (forward && p->search.used > 0) {
+        if (possible) score_samples(p, m, best);
+        next_samples(p, m, k);
+    }
+    double ahead = DBL_MAX, w = k->min_w;
+    for (int j = 0; j < k->nw; ++j, w += k->dw) {
+        const double rate = turn_rate(p, w);
+        p->rollouts += 1;
+        p->rollout_steps += simulate_steps(p, 0, rate);
+        if (possible && turn_allowed(p, w, k->dw)) try_turn(p, m, rate, &ahead, best);
+    }
 }

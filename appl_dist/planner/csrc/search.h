@@ -17,15 +17,18 @@ typedef struct candidate {
     int back, gap;      // next point to look at, counted from the last; distance to those looked at
 } candidate;
 
-// What a cycle's samples have in common: false when the pose they all start from is not legal, so none of them is.
-bool search_prepare(rollout_planner *p, const motion *m);
+// Starts a cycle: where the samples in `k` (`forward`: with the forward ones) may end, for the waves to come.
+grid_box search_start(rollout_planner *p, const motion *m, const sample_window *k, bool forward);
 
-// Forward samples: each speed with rate 0, then with the rates but the highest. `best`: v, w and cost of the cheapest,
-// cost < 0 where none is legal;
-// not `possible`: they are only counted.
-void search_forward(rollout_planner *p, const motion *m, const sample_window *k, bool possible,
-                    rollout *best);
+// After the waves are laid out: the cheapest sample. Only v, w and cost of `best` are set; cost < 0: none is legal.
+void search_best(rollout_planner *p, const motion *m, const sample_window *k, bool forward, rollout *best);
 
-// An in-place turn: taken when not dearer than `best` and the goal distance ahead of its last point is below *ahead,
-// which it becomes. `best` as above.
-void search_turn(rollout_planner *p, const motion *m, double w, double *ahead, rollout *best);
+// Rates of in-place turns are not below a least one, and some are not allowed.
+static inline double turn_rate(const rollout_planner *p, double w) {
+    const double least = p->set->min_in_place_vel_theta;
+    return w > 0 ? fmax(w, least) : fmin(w, -least);
+}
+
+static inline bool turn_allowed(const rollout_planner *p, double w, double dw) {
+    return (w > dw || w < -dw) && ((w < 0 && !p->stuck_left) || (w > 0 && !p->stuck_right));
+}

@@ -9,26 +9,42 @@ static void estimate(uint8_t *to, int cells, int low, int high) {
     }
 }
 
-void wavefront_reset(wavefront *m, const uint8_t *restrict cost, int x0, int y0, int x1, int y1) {
+void wavefront_reset(wavefront *m, const grid_frame *frame, const uint8_t *cost, const grid_box *box) {
+    m->w = frame->w, m->h = frame->h;
+    m->cost = cost;
     m->next = m->level = m->last_target = 0;
     for (int b = 0; b < WAVE_BUCKETS; ++b) m->count[b] = 0;
     memset(m->targets_at, -1, sizeof m->targets_at);
-    estimate(m->to_column, m->w, x0, x1);
-    estimate(m->to_row, m->h, y0, y1);
-    // A blocked border: waves need no bounds checks.
-    for (int x = 0; x < m->w + 2; ++x) m->dist[x] = m->dist[(m->h + 1) * WAVE_STRIDE + x] = WAVE_BLOCKED;
-    for (int y = 0; y < m->h; ++y) {
-        uint16_t *restrict row = m->dist + (y + 1) * WAVE_STRIDE;
-        const uint8_t *restrict from = cost + y * m->w;
-        row[0] = row[m->w + 1] = WAVE_BLOCKED;
-        for (int x = 0; x < m->w; ++x) row[x + 1] = from[x] >= COST_INSCRIBED ? WAVE_BLOCKED : WAVE_FREE;
-    }
+    memset(m->laid_out, 0, sizeof m->laid_out);
+    estimate(m->to_column, m->w, box->x0, box->x1);
+    estimate(m->to_row, m->h, box->y0, box->y1);
 }
 
-void wavefront_unblock(wavefront *m, int x, int y) { m->dist[wave_index(x, y)] = WAVE_FREE; }
+// With a blocked border: waves need no bounds checks.
+void wavefront_lay_out_row(wavefront *m, int y) {
+    uint16_t *restrict row = m->dist + y * WAVE_STRIDE;
+    m->laid_out[y] = 1;
+    if (y == 0 || y == m->h + 1) {
+        for (int x = 0; x < m->w + 2; ++x) row[x] = WAVE_BLOCKED;
+        return;
+    }
+    const uint8_t *restrict from = m->cost + (y - 1) * m->w;
+    row[0] = row[m->w + 1] = WAVE_BLOCKED;
+    for (int x = 0; x < m->w; ++x) row[x + 1] = from[x] >= COST_INSCRIBED ? WAVE_BLOCKED : WAVE_FREE;
+}
+
+static inline void lay_out(wavefront *m, int y) {
+    if (!m->laid_out[y]) wavefront_lay_out_row(m, y);
+}
+
+void wavefront_unblock(wavefront *m, int x, int y) {
+    lay_out(m, y + 1);
+    m->dist[wave_index(x, y)] = WAVE_FREE;
+}
 
 void wavefront_target(wavefront *m, int x, int y) {
     const int i = wave_index(x, y);
+    lay_out(m, y + 1);
     if (m->dist[i] == 0) return;  // a plan visits a cell more than once
     m->dist[i] = 0;
     const int far = m->to_column[x + 1] + m->to_row[y + 1];
@@ -50,6 +66,8 @@ static inline void relax(wavefront *m, int to, uint16_t distance, int rise, int 
 static void expand(wavefront *m, int i, int bucket) {
     const int x = i % WAVE_STRIDE, y = i / WAVE_STRIDE;
     const uint16_t next = (uint16_t)(m->dist[i] + 1);
+    lay_out(m, y - 1);
+    lay_out(m, y + 1);
     relax(m, i - 1, next, m->to_column[x - 1] - m->to_column[x], bucket);
     relax(m, i + 1, next, m->to_column[x + 1] - m->to_column[x], bucket);
     relax(m, i - WAVE_STRIDE, next, m->to_row[y - 1] - m->to_row[y], bucket);
@@ -64,6 +82,7 @@ static void start_targets(wavefront *m, int bucket) {
 
 void wavefront_grow_until(wavefront *m, int x, int y) {
     const int i = wave_index(x, y), far = m->to_column[x + 1] + m->to_row[y + 1];
+    lay_out(m, y + 1);
     while (m->dist[i] + far > m->level) {
         const int bucket = m->level % WAVE_BUCKETS;
         if (m->level <= m->last_target) start_targets(m, bucket);
@@ -75,8 +94,7 @@ void wavefront_grow_until(wavefront *m, int x, int y) {
 }
 
 int wavefront_ros_value(wavefront *m, int x, int y) {
-    const int i = wave_index(x, y);
-    if (m->dist[i] != WAVE_BLOCKED) {
+    if (wavefront_open(m, x, y)) {
         const int d = wavefront_distance(m, x, y);
         return d < WAVE_LIMIT ? d : m->w * m->h + 1;
     }

@@ -15,7 +15,9 @@ enum {
 
 typedef struct {
     int w, h;            // cells
-    uint16_t *dist;      // ((h + 2) * WAVE_STRIDE)
+    const uint8_t *cost; // (h, w) of the map searched
+    uint16_t *dist;      // ((h + 2) * WAVE_STRIDE); a row is laid out when first needed
+    uint8_t laid_out[WAVE_SIDE_MAX + 2];
     uint16_t *bucket[WAVE_BUCKETS];  // (w * h + 1) indices; a cell is in each at most once
     int count[WAVE_BUCKETS], next;  // `next` to be expanded in the bucket of `level`
     int level;           // cells whose distance + estimate is below it have their final distance
@@ -28,24 +30,33 @@ typedef struct {
 
 static inline int wave_index(int x, int y) { return (y + 1) * WAVE_STRIDE + x + 1; }
 
-// New search over a map: nothing reached, cells of cost 253 and more are obstacles. The box of columns [x0, x1] and
-// rows [y0, y1] is where distances are asked for; others are found too, later.
-void wavefront_reset(wavefront *m, const uint8_t *cost, int x0, int y0, int x1, int y1);
+// New search over a map of w x h cells: nothing reached, cells of cost 253 and more are obstacles. The box is where distances
+// are asked for; others are found too, later.
+void wavefront_reset(wavefront *m, const grid_frame *frame, const uint8_t *cost, const grid_box *box);
+void wavefront_lay_out_row(wavefront *m, int y);  // by padded row; once
 void wavefront_unblock(wavefront *m, int x, int y);  // not an obstacle, whatever its cost
 void wavefront_target(wavefront *m, int x, int y);
 void wavefront_grow_until(wavefront *m, int x, int y);  // until the cell's distance is final, or everything's
 
+static inline uint16_t wavefront_found(wavefront *m, int x, int y) {
+    if (!m->laid_out[y + 1]) wavefront_lay_out_row(m, y + 1);
+    return m->dist[wave_index(x, y)];
+}
+
+// Whether the cell is no obstacle to the wave. Neighbours that are not are all reached, or none is.
+static inline bool wavefront_open(wavefront *m, int x, int y) { return wavefront_found(m, x, y) != WAVE_BLOCKED; }
+
 // Distance of a cell, or at least WAVE_LIMIT when it cannot be reached or is an obstacle.
 static inline int wavefront_distance(wavefront *m, int x, int y) {
-    const uint16_t d = m->dist[wave_index(x, y)];
+    const uint16_t d = wavefront_found(m, x, y);
     if (d == WAVE_BLOCKED || d + m->to_column[x + 1] + m->to_row[y + 1] <= m->level) return d;
     wavefront_grow_until(m, x, y);
     return m->dist[wave_index(x, y)];
 }
 
 // At most the distance of a cell, without growing anything.
-static inline int wavefront_at_least(const wavefront *m, int x, int y) {
-    const uint16_t d = m->dist[wave_index(x, y)];
+static inline int wavefront_at_least(wavefront *m, int x, int y) {
+    const uint16_t d = wavefront_found(m, x, y);
     const int least = m->level - m->to_column[x + 1] - m->to_row[y + 1];
     return d < least ? d : least > 0 ? least : 0;
 }
