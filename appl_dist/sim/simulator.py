@@ -1,8 +1,9 @@
 """One Jackal in one BARN world: command in; pose, odometry, scan and contact out.
 
-Free motion is csrc/tyres.c in steps of 1 ms. pybullet is stepped along with it, every 100 ms in the open and every
-4 ms where the robot could touch something; contacts found there change pose and velocity, and the tyre model goes
-on from them.
+Free motion is csrc/tyres.c in steps of 1 ms. Where the robot could touch something within the next 4 ms, pybullet
+steps along with it: contacts found there change pose and velocity, and the tyre model goes on from them. Anywhere
+else flat ground is all there is to touch, and pybullet is neither stepped nor, before an episode's first such place,
+even given the world.
 Frames: world = odom at reset; poses are x, y, yaw of base_link with a yaw that is not wrapped.
 """
 
@@ -19,9 +20,7 @@ from appl_dist.sim.bullet import BulletBody
 from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from appl_dist.sim.worlds import Floats, World
 
-OPEN_MS = 100  # pybullet step where no obstacle is in reach
-CONTACT_MS = 4  # and where one is: 8 mm at full speed
-FREE_MS = 20  # how far ahead the way is checked at once
+CONTACT_MS = 4  # pybullet step where an obstacle is in reach: 8 mm at full speed
 GLIDE_MS = 20  # how often the ideal drive looks for collisions
 NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
@@ -74,10 +73,8 @@ class Simulator:
         if self.clearance_m < 0.0:
             raise ValueError(f"pose: ({start[0]:g}, {start[1]:g}) lies in an obstacle of {world.name}")
         if self._body is not None:
-            self._body.rebuild(self._cylinders, self._vehicle.pose)
-        self._synced = self._vehicle.pose
-        self._pending_ms = 0
-        self._held = False  # by a contact
+            self._body.land()
+        self._built = False  # whether pybullet has this world yet
         self._ready = True
         self.collided = False  # since reset
         self.in_collision = False  # now
@@ -102,23 +99,21 @@ class Simulator:
         if self._body is None:
             self._glide(ms)
             return
+        body = self._body
         while ms > 0:
-            chunk = min(ms, FREE_MS, OPEN_MS - self._pending_ms)
-            if not self._held and vehicle.drive_free(chunk, NEAR_M):
-                self._pending_ms += chunk
-                if self._pending_ms == OPEN_MS:
-                    self._carry()
+            if not body.held and (done := vehicle.drive_free(ms, NEAR_M, CONTACT_MS)):
+                body.land()
+                ms -= done
             else:
-                self._carry()
                 chunk = min(ms, CONTACT_MS)
                 self._contact_step(chunk)
-            ms -= chunk
+                ms -= chunk
 
     def _glide(self, ms: int) -> None:
         """The ideal drive goes through obstacles; touching one is all that is noted."""
         while ms > 0:
             chunk = min(ms, GLIDE_MS)
-            self._vehicle.drive_free(chunk, 0.0)
+            self._vehicle.drive_free(chunk, 0.0, 1)
             self.in_collision = self.clearance_m <= 0.0
             self.collided |= self.in_collision
             ms -= chunk
@@ -128,30 +123,19 @@ class Simulator:
         turn = w * self._half_separation
         return (v - turn) / WHEEL_RADIUS_M, (v + turn) / WHEEL_RADIUS_M
 
-    def _carry(self) -> None:
-        """Take the pybullet body along the free motion since the last time."""
-        if not self._pending_ms:
-            return
-        dt_s = 1e-3 * self._pending_ms
-        self._pending_ms = 0
-        before, now = self._synced, self._vehicle.pose
-        self._synced = now
-        assert self._body is not None
-        velocity = ((now[0] - before[0]) / dt_s, (now[1] - before[1]) / dt_s, (now[2] - before[2]) / dt_s)
-        self._body.carry(before, velocity, self._wheel_rates(), dt_s)
-
     def _contact_step(self, ms: int) -> None:
         """One step where contacts are possible: predict freely, let pybullet resolve, correct."""
         body, vehicle = self._body, self._vehicle
         assert body is not None
         before = vehicle.pose
+        if not self._built:
+            body.rebuild(self._cylinders, before)
+            self._built = True
         velocity = vehicle.predict(ms)
         motion = body.step(before, velocity, self._wheel_rates(), 1e-3 * ms)
         self.in_collision = body.touching
-        self._held = body.held
-        if self._held:
+        if body.held:
             vehicle.correct(*motion)
-        self._synced = vehicle.pose
         self.collided |= self.in_collision
         self.rolled_over |= body.tilt_rad > ROLLED_OVER_RAD
 
