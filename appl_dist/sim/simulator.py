@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist._native import Vehicle
-from appl_dist.sim.bullet import BulletBody
+from appl_dist.sim.bullet import BulletBody, Pose
 from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from appl_dist.sim.worlds import Floats, World
 
@@ -143,7 +143,7 @@ class Simulator:
         """(720,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""
         return self.scan_from(self._vehicle.pose, self._vehicle.time_ms)
 
-    def scan_from(self, pose: tuple[float, float, float] | NDArray[np.float64], time_ms: int) -> NDArray[np.float32]:
+    def scan_from(self, pose: Pose, time_ms: int) -> NDArray[np.float32]:
         """The scan of a moment gone by, from the true pose then: a scan that nobody reads need not be cast."""
         x, y, yaw = pose
         mount = self.lidar.mount_x_m
@@ -151,6 +151,17 @@ class Simulator:
         ranges = np.empty(self.lidar.beams, np.float32)
         self._caster.cast(lidar, self._cylinders, self._seed, time_ms, ranges)
         return ranges
+
+    def readings(self) -> tuple[Pose, Pose, tuple[float, float]]:
+        """`pose`, `odom_pose` and `odom_twist` as plain numbers, for who asks 50 times a second."""
+        vehicle = self._vehicle
+        return vehicle.pose, vehicle.odom_pose, vehicle.odom_twist
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """True x, y of base_link, world frame."""
+        x, y, _ = self._vehicle.pose
+        return x, y
 
     @property
     def pose(self) -> Floats:
