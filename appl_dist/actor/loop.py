@@ -76,9 +76,9 @@ class NavigationLoop:
         self._origin = float(start[0]), float(start[1])
         self.navigator.reset(np.array([goal[0] - start[0], goal[1] - start[1], 0.0]))
         self.now_ms = 0
-        self.command = np.zeros(2)
+        self._command = (0.0, 0.0)
         self._received_ms = 0
-        self._in_flight: list[tuple[int, Array]] = []  # commands on their way to the wheels
+        self._in_flight: list[tuple[int, tuple[float, float]]] = []  # commands on their way to the wheels
         self._scan_due_ms = 0
         self._scans: list[tuple[int, _Stamp]] = []  # usable from
         self._estimates: list[tuple[int, Pose, tuple[float, float]]] = []  # usable from, pose, twist
@@ -89,6 +89,7 @@ class NavigationLoop:
         self._planning_from: Array | None = None
         self._plan_done_ms = NEVER
         self._control_done_ms = 0
+        self._work_due_ms = self._next_work_ms()
         self._sense()
         self.estimate = self._estimate()
 
@@ -96,30 +97,28 @@ class NavigationLoop:
         """Run for `duration_ms`, or until `stop()`, asked whenever the lidar has fired, is true."""
         end_ms = self.now_ms + duration_ms
         while True:
-            arrival = self._in_flight[0][0] if self._in_flight else NEVER
-            event_ms = min(
-                self._scan_due_ms,
-                arrival,
-                self._local.due_ms,
-                self._global.due_ms,
-                self._plan_done_ms if self._planning_from is not None else self._plan.due_ms,
-                self._control.due_ms,
-            )
-            if event_ms >= end_ms:
-                self._drive_until(end_ms)
-                return
+            arrival_ms = self._in_flight[0][0] if self._in_flight else NEVER
+            scan_ms, work_ms = self._scan_due_ms, self._work_due_ms
             # Simultaneous events in the order of the data's way, so that `ideal` is one synchronous tick.
-            if event_ms == arrival:
-                self._drive_until(event_ms)
-                self.command = self._in_flight.pop(0)[1]
-                self._received_ms = event_ms
-            elif event_ms == self._scan_due_ms:
-                self._drive_until(event_ms)
+            if arrival_ms <= scan_ms and arrival_ms <= work_ms and arrival_ms < end_ms:
+                self._drive_until(arrival_ms)
+                self._command = self._in_flight.pop(0)[1]
+                self._received_ms = arrival_ms
+            elif scan_ms <= work_ms and scan_ms < end_ms:
+                self._drive_until(scan_ms)
                 self._sense()
                 if stop():
                     return
+            elif work_ms < end_ms:
+                self._compute(work_ms)
+                self._work_due_ms = self._next_work_ms()
             else:
-                self._compute(event_ms)
+                self._drive_until(end_ms)
+                return
+
+    def _next_work_ms(self) -> int:
+        plan_ms = self._plan.due_ms if self._planning_from is None else self._plan_done_ms
+        return min(self._local.due_ms, self._global.due_ms, plan_ms, self._control.due_ms)
 
     @property
     def scan(self) -> FloatArray:
@@ -129,7 +128,7 @@ class NavigationLoop:
     def _drive_until(self, time_ms: int) -> None:
         if time_ms > self.now_ms:
             age_s = (self.now_ms - self._received_ms) / 1000.0
-            self.simulator.step(self.command, (time_ms - self.now_ms) / 1000.0, age_s)
+            self.simulator.step(self._command, (time_ms - self.now_ms) / 1000.0, age_s)
             self.now_ms = time_ms
 
     def _sense(self) -> None:
@@ -186,10 +185,10 @@ class NavigationLoop:
             self._planning_from = None
             self._plan.finish(now_ms)
         else:
-            command = self.navigator.control(pose, twist, now_ms / 1000.0)
+            v, w = self.navigator.control(pose, twist, now_ms / 1000.0).tolist()
             work_ms = t.control_base_ms + t.control_us_per_step * self.navigator.rollout_steps / 1000.0
             self._control_done_ms = now_ms + self._delay_ms(work_ms)
-            self._in_flight.append((self._control_done_ms + t.command_delay_ms, command))
+            self._in_flight.append((self._control_done_ms + t.command_delay_ms, (v, w)))
             self._control.finish(self._control_done_ms)
 
     def _give_scan(self, now_ms: int) -> None:

@@ -74,6 +74,7 @@ class Simulator:
             raise ValueError(f"pose: ({start[0]:g}, {start[1]:g}) lies in an obstacle of {world.name}")
         if self._body is not None:
             self._body.land()
+        self._landed = True
         self._built = False  # whether pybullet has this world yet
         self._ready = True
         self.collided = False  # since reset
@@ -94,20 +95,23 @@ class Simulator:
         v, w = float(command[0]), float(command[1])
         if not (math.isfinite(v) and math.isfinite(w)):
             raise ValueError(f"command: got ({v}, {w}); both must be finite")
-        vehicle = self._vehicle
-        vehicle.command(v, w, round(1000.0 * command_age_s))
+        self._vehicle.command(v, w, round(1000.0 * command_age_s))
         if self._body is None:
             self._glide(ms)
-            return
-        body = self._body
+        else:
+            self._drive(ms, self._body)
+
+    def _drive(self, ms: int, body: BulletBody) -> None:
         while ms > 0:
-            if not body.held and (done := vehicle.drive_free(ms, NEAR_M, CONTACT_MS)):
+            done = 0 if body.held else self._vehicle.drive_free(ms, NEAR_M, CONTACT_MS)
+            if done == 0:
+                done = min(ms, CONTACT_MS)
+                self._contact_step(done)
+                self._landed = False
+            elif not self._landed:
                 body.land()
-                ms -= done
-            else:
-                chunk = min(ms, CONTACT_MS)
-                self._contact_step(chunk)
-                ms -= chunk
+                self._landed = True
+            ms -= done
 
     def _glide(self, ms: int) -> None:
         """The ideal drive goes through obstacles; touching one is all that is noted."""
