@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import multiprocessing
+import os
 import subprocess
 import sys
 import time
@@ -141,6 +142,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
     a = parser.parse_args()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in `appl-dist actor`: its idle threads would take a core
 
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", "import appl_dist.actor.main, appl_dist.config"], check=True)
