@@ -131,8 +131,7 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         simulator, protocol = self.loop.simulator, self.protocol
         x, y = simulator.position
         clearance_m = simulator.clearance_m
-        if clearance_m < self.min_clearance_m:
-            self.min_clearance_m = clearance_m
+        self.min_clearance_m = min(self.min_clearance_m, clearance_m)
         if self._clock_start_ms is None:
             moved_m = math.hypot(x - self._start_xy[0], y - self._start_xy[1])
             if moved_m >= protocol.clock_starts_after_m:
