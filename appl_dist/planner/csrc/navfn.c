@@ -23,6 +23,13 @@ void navfn_init(navfn *n) {
     n->goal_potential = 0;
 }
 
+// Whether the last wave came to the cell or beside it.
+static bool seen(const navfn *n, int i) {
+    const float *p = n->potential;
+    const float least = fminf(fminf(p[i - 1], p[i + 1]), fminf(p[i - n->w], p[i + n->w]));
+    return fminf(least, p[i]) < POTENTIAL_NONE;
+}
+
 void navfn_sync(navfn *n, const uint8_t *master, grid_window k) {
     const int x0 = k.x0 > 1 ? k.x0 : 1, xn = k.xn < n->w - 1 ? k.xn : n->w - 1;
     for (int y = k.y0 > 1 ? k.y0 : 1; y < k.yn && y < n->h - 1; ++y)
@@ -32,7 +39,7 @@ void navfn_sync(navfn *n, const uint8_t *master, grid_window k) {
             if (n->cost[i] == c) continue;
             n->cost[i] = c;
             n->closed[i] = c >= BLOCKED;
-            n->fresh = false;
+            n->fresh = n->fresh && !seen(n, i);
         }
 }
 
@@ -128,7 +135,7 @@ static void propagate(navfn *n, int start, int goal) {
 static void propagate_to_goal(navfn *n, int start, int goal) {
     n->goal_cx = goal % n->w, n->goal_cy = goal / n->w;
     const float dx = (float)(start % n->w - n->goal_cx), dy = (float)(start / n->w - n->goal_cy);
-    const float guess = n->goal_potential > 0 ? n->goal_potential + 300.0f : 56.0f * sqrtf(dx * dx + dy * dy);
+    const float guess = n->goal_potential > 0 ? n->goal_potential + 100.0f : 56.0f * sqrtf(dx * dx + dy * dy);
     n->bound = n->whole ? POTENTIAL_NONE : guess + BOUND_MARGIN;
     n->cells = 0;
     for (;;) {
