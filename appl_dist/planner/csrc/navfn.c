@@ -13,8 +13,13 @@ void navfn_init(navfn *n) {
         n->step_of[c] = (float)(0.707106781 * (float)c);
     }
     const int cells = n->w * n->h;
+    memset(n->master, COST_UNKNOWN, (size_t)cells);
     memset(n->cost, BLOCKED, (size_t)cells);
     memset(n->closed, 1, (size_t)cells);
+    for (int y = 1; y < n->h - 1; ++y) {
+        memset(n->cost + y * n->w + 1, n->cost_of[COST_UNKNOWN], (size_t)(n->w - 2));
+        memset(n->closed + y * n->w + 1, 0, (size_t)(n->w - 2));
+    }
     for (int i = 0; i < cells; ++i) n->potential[i] = POTENTIAL_NONE;
     n->reached_count = 0;
     n->per_row = 1.0 / n->w;
@@ -31,15 +36,20 @@ static bool seen(const navfn *n, int i) {
 }
 
 void navfn_sync(navfn *n, const uint8_t *master, grid_window k) {
+    enum { RUN = 32 };  // cells compared at once
     const int x0 = k.x0 > 1 ? k.x0 : 1, xn = k.xn < n->w - 1 ? k.xn : n->w - 1;
     for (int y = k.y0 > 1 ? k.y0 : 1; y < k.yn && y < n->h - 1; ++y)
-        for (int x = x0; x < xn; ++x) {
-            const int i = y * n->w + x;
-            const uint8_t c = n->cost_of[master[i]];
-            if (n->cost[i] == c) continue;
-            n->cost[i] = c;
-            n->closed[i] = c >= BLOCKED;
-            n->fresh = n->fresh && !seen(n, i);
+        for (int x = x0; x < xn; x += RUN) {
+            const int first = y * n->w + x, count = xn - x < RUN ? xn - x : RUN;
+            if (memcmp(n->master + first, master + first, (size_t)count) == 0) continue;
+            for (int i = first; i < first + count; ++i) {
+                n->master[i] = master[i];
+                const uint8_t c = n->cost_of[master[i]];
+                if (n->cost[i] == c) continue;
+                n->cost[i] = c;
+                n->closed[i] = c >= BLOCKED;
+                n->fresh = n->fresh && !seen(n, i);
+            }
         }
 }
 

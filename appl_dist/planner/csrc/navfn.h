@@ -7,6 +7,7 @@ enum { NAVFN_BUFFER = 10000 };  // entries a priority buffer holds; more are dro
 
 typedef struct {
     int w, h;
+    uint8_t *master;         // (h, w) the costmap `cost` was made from
     uint8_t *cost;           // (h, w) traversal cost 50..253, 254 blocked; the outer ring is blocked
     float *potential;        // (h, w) 1e10 where no wave came
     uint8_t *closed;         // (h, w) blocked, or in a buffer already
