@@ -15,7 +15,7 @@ ROLES = {
     "actor": "run one actor: appl-dist actor wire.endpoint=tcp/HOST:7447",
     "evaluate": "compare policies on worlds: appl-dist evaluate +evaluation.methods.mine=FILE",
     "worlds": "check, generate, count or draw BARN worlds",
-    "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE…",
+    "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE… [--arithmetic fast]",
 }
 CONFIGURED = ("train", "learner", "actor", "evaluate")
 
