@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def test_it_drives_or_names_what_cannot_be(
         return
     for v, w, dt_s, age_s in steps:
         time_s, before = simulator.time_s, simulator.pose
-        refusal = refusal_of(lambda command=(v, w), dt=dt_s, age=age_s: simulator.step(command, dt, age))
+        refusal = refusal_of(partial(simulator.step, (v, w), dt_s, age_s))
         if refusal:
             assert refusal.startswith(("command: ", "dt_s: ", "command_age_s: "))
             assert simulator.time_s == time_s
