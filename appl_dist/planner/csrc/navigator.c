@@ -204,6 +204,7 @@ void navigator_control(navigator *n, const double pose_in[3], const double twist
     double pose[3];
     out[0] = out[1] = 0;
     n->valid = false;
+    n->local_plan.rollouts.rollouts = n->local_plan.rollouts.rollout_steps = 0; /* of this cycle, if it comes to any */
     if (n->state == NAVIGATOR_IDLE || n->state == NAVIGATOR_SUCCEEDED || n->state == NAVIGATOR_ABORTED) return;
     start_clock(n, now);
     robot_pose(pose_in, pose);
