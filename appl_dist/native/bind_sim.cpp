@@ -165,7 +165,8 @@ void bind_sim(nb::module_ &m) {
         .def_rw("ideal", &vehicle_spec::ideal)
         .def_rw("odom_gain_v", &vehicle_spec::odom_gain_v)
         .def_rw("odom_gain_w", &vehicle_spec::odom_gain_w)
-        .def_rw("odom_noise_w", &vehicle_spec::odom_noise_w);
+        .def_rw("odom_noise_w", &vehicle_spec::odom_noise_w)
+        .def_rw("odom_noise_yaw", &vehicle_spec::odom_noise_yaw);
 
     nb::class_<Vehicle>(m, "Vehicle", "A Jackal's planar motion among cylinders, advanced in steps of 1 ms.")
         .def(nb::init<const vehicle_spec &>(), nb::arg("spec"))
@@ -181,7 +182,10 @@ void bind_sim(nb::module_ &m) {
         .def_prop_ro("twist", &Vehicle::twist, "forward, left, yaw rate of base_link")
         .def_prop_ro("wheels", [](const Vehicle &v) { return std::make_tuple(v.state().wheel_v, v.state().wheel_w); })
         .def_prop_ro("odom_pose",
-                     [](const Vehicle &v) { return Triple(v.state().odom_x, v.state().odom_y, v.state().yaw); })
+                     [](const Vehicle &v) { 
+                         const vehicle_state &s = v.state();
+                         return Triple(s.odom_x, s.odom_y, s.yaw + s.odom_yaw_error);
+                     })
         .def_prop_ro("odom_twist",
                      [](const Vehicle &v) { return std::make_tuple(v.state().odom_v, v.state().odom_w); });
 

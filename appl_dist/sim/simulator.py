@@ -215,7 +215,7 @@ class Simulator:
 
     @property
     def odom_pose(self) -> Floats:
-        """(3,) x, y, yaw by odometry: wheel speed integrated along the true yaw, from the true start."""
+        """(3,) x, y by odometry: wheel speed integrated along the true yaw, from the true start; yaw with noise."""
         return np.array(self._vehicle.odom_pose)
 
     @property
