@@ -97,4 +97,4 @@ def test_pushed_on_against_a_wall_it_stays_finite_and_outside(speed: float) -> N
         for _ in range(100):
             simulator.step((speed, 0.0), 0.1)
             assert np.isfinite(simulator.pose).all()
-            assert abs(simulator.pose[1]) < 0.75
+            assert abs(simulator.pose[1]) < 1.0 - 0.075  # a robot that climbs comes nearer than a level one

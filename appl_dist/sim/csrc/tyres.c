@@ -32,6 +32,7 @@ void vehicle_reset(const vehicle_spec *spec, vehicle_state *state, const double 
     state->yaw = pose[2];
     state->seed = seed;
     state->command_age_ms = spec->timeout_ms; /* nothing received yet */
+    state->ground_force = spec->mass * GRAVITY;
 }
 
 void vehicle_command(vehicle_state *state, double v, double w, int64_t age_ms) {
@@ -54,7 +55,7 @@ static void turn_wheels(const vehicle_spec *spec, vehicle_state *state, double d
  * loads N = a + b x + c y that balance weight and tyre force have a closed form. */
 static void load_contacts(const vehicle_spec *spec, const vehicle_state *state, double c, double s,
                           const double (*contact)[2], double *limit) {
-    const double weight = spec->mass * GRAVITY;
+    const double weight = state->ground_force;
     const double forward = c * state->force_x + s * state->force_y;
     const double left = c * state->force_y - s * state->force_x;
     double xx = 0.0, yy = 0.0;

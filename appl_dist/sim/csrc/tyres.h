@@ -30,6 +30,7 @@ typedef struct {
     int64_t command_age_ms;
     double force_x, force_y;         /* tyre force of the last step, world frame, for the load transfer */
     double impulse[CONTACTS][2];     /* of the last step, world frame: start of the next solution */
+    double ground_force;             /* N, what the wheels stand on the ground with: the weight, less when lifted */
     double odom_x, odom_y;           /* integral of the wheel speed along the true yaw */
     double odom_v, odom_w;
     double odom_yaw_error;           /* published heading less the true one */
