@@ -3,7 +3,8 @@
     python benchmarks/planner_cycle.py [--seconds 20] [--parameters random] [--arithmetic fast]
 
 Drives the noise-free robot through generated BARN worlds and takes the processor time of every call from Python, so
-the call itself (about a microsecond) is included. Run it with PYTHONPATH of another checkout to compare the two. "per simulated second" = 20 local updates, plans and controls, 10 global updates.
+the call itself (about a microsecond) is included. Run it with PYTHONPATH of another checkout to compare the two.
+"per simulated second" = 20 local updates, plans and controls, 10 global updates.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ REAL_RANDOM_CONTROL_MS = 2.65
 START_WORLD = np.array([-2.0, 3.0, 0.0])
 
 
-def run(world_index: int, seconds: float, random: bool, settings: PlannerSettings, times: dict[str, list[float]]) -> None:
+def run(
+    world_index: int, seconds: float, random: bool, settings: PlannerSettings, times: dict[str, list[float]]
+) -> None:
     """One drive; appends the ms of every call to `times`."""
     rng = np.random.default_rng(world_index)
     world = generate_worlds(world_index + 1)[world_index]
