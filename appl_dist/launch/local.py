@@ -19,6 +19,7 @@ from appl_dist.config import Settings, as_dict, cores, from_dict
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.launch import view
+from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import USER_ERROR, Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, environment_arguments, stop_event, worlds_of
 from appl_dist.wire.control import fetch_run, fetch_status
@@ -37,6 +38,7 @@ def train(settings: Settings) -> int:
     settings, folder = prepare(settings)
     console = view.make_console()
     finished = _serial(settings) if settings.serial else _processes(settings, folder, console)
+    console.print(run_ledger(folder).sentence(), highlight=False, soft_wrap=True)
     if not finished:
         console.print(f"stopped; continue with: appl-dist train run.resume={folder}", highlight=False)
         return 0

@@ -42,7 +42,7 @@ def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
         "return", _number(status["return"]), "queue", str(status["queue"]),
     )  # fmt: skip
     numbers.add_row(
-        "policy version", str(status["version"]), "staleness", f"{status['staleness']:.1f} versions",
+        "policy version", str(status["version"]), "staleness", _stale(status),
         "noise sigma", f"{status['sigma']:.3f}", "updates", f"{status['updates']:,}",
     )  # fmt: skip
     actors = Table(box=None, header_style="dim", pad_edge=False)
@@ -65,8 +65,12 @@ def line(status: dict[str, Any]) -> str:
         f"({status['transitions_per_s']:.1f}/s), {status['updates']:,} updates ({status['updates_per_s']:.1f}/s), "
         f"{status['episodes']:,} episodes, success {_percent(status['success'])}, "
         f"traversal {_seconds(status['time_s'])}, return {_number(status['return'])}, "
-        f"policy {status['version']}, staleness {status['staleness']:.1f}, {len(status['actors'])} actors"
+        f"policy {status['version']}, staleness {_stale(status)}, {len(status['actors'])} actors"
     )
+
+
+def _stale(status: dict[str, Any]) -> str:
+    return f"{status['staleness']:.1f} versions ({100 * status['stale_share']:.0f} % stale)"
 
 
 def _clock(seconds: float) -> str:

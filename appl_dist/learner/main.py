@@ -45,6 +45,7 @@ SCALARS = {
     "return": "episode/return",
     "episodes": "episode/count",
     "staleness": "policy/staleness",
+    "stale_share": "policy/stale_share",
     "version": "policy/version",
     "sigma": "policy/noise_sigma",
     "transitions_per_s": "rate/transitions_per_s",
@@ -197,7 +198,7 @@ class Learner:
 
     def _publish(self) -> None:
         self.version += 1
-        self.statistics.current_version = self.version
+        self.statistics.current = (self.epoch, self.version)
         self.publisher.publish(self.epoch, self.version, self._policy().to_bytes())
 
     def _report(self) -> None:
@@ -257,7 +258,10 @@ class _Sink:
     def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
         ack = self._ingest.store(header, rollout)
         if ack.status == "stored":
-            self._learner.statistics.add(rollout)
+            try:
+                self._learner.statistics.add(rollout)
+            except ValueError as error:  # its transitions are good: only the figures go without it
+                log.warning("actor %s: an episode without usable figures: %s", header.actor, error)
         return ack
 
     def expected_seq(self, actor_id: str) -> int:
