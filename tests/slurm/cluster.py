@@ -69,7 +69,7 @@ class Cluster:
         host = socket.gethostname()
         ports = _free_ports(nodes + 1)
         rows = [
-            f"NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} RealMemory=4000 State=UNKNOWN"
+            f"NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} RealMemory=4000"
             for name, port in zip(self.names, ports[1:], strict=True)
         ]
         folder.mkdir(parents=True, exist_ok=True)
@@ -90,9 +90,7 @@ class Cluster:
 
     def run(self, *command: str) -> str:
         """What a Slurm command prints; CalledProcessError with its words if it fails."""
-        done = subprocess.run(
-            command, env=self.environment, capture_output=True, text=True, timeout=60, check=False
-        )
+        done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=60, check=False)
         if done.returncode != 0:
             raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
         return done.stdout.strip()
@@ -125,7 +123,7 @@ class Cluster:
 
     def close(self) -> None:
         """End all daemons and whatever they started."""
-        mine = [p for node in self.names for p in self._processes_of(node)]
+        mine = self.processes()
         for daemon in reversed(self._daemons.values()):
             daemon.kill()
             daemon.wait()
@@ -137,19 +135,25 @@ class Cluster:
             if process.is_running():
                 process.kill()
 
+    def processes(self) -> list[psutil.Process]:
+        """Every job step of this cluster, and all below."""
+        return [p for node in self.names for p in self._processes_of(node)]
+
     def _processes_of(self, node: str) -> list[psutil.Process]:
-        """Job steps of a node and all below them: their environment names it."""
-        found = []
+        """Job steps of a node, first, then all below them: the scripts' environment names the node."""
+        below, steps = [], []
         for process in psutil.process_iter():
             try:
-                environment = process.environ()
+                environment, parent = process.environ(), process.parent()
             except (psutil.Error, OSError):
                 continue
             if environment.get("SLURM_CONF") == str(self.folder / "slurm.conf") and (
                 environment.get("SLURMD_NODENAME") == node
             ):
-                found.append(process)
-        return found
+                below.append(process)
+                if parent is not None and parent.name() == "slurmstepd":
+                    steps.append(parent)
+        return [*steps, *below]
 
     def _start(self) -> None:
         key = self.folder / "munge.key"
@@ -207,10 +211,12 @@ def _free_ports(count: int) -> list[int]:
 
 
 def main() -> None:
+    signals = {signal.SIGINT, signal.SIGTERM}
     cluster = Cluster(Path(tempfile.mkdtemp(prefix="appl-slurm-")), int(sys.argv[1]) if len(sys.argv) > 1 else 3)
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         print(f"export SLURM_CONF={cluster.folder}/slurm.conf", flush=True)
-        signal.sigwait([signal.SIGINT, signal.SIGTERM])
+        signal.sigwait(signals)
     finally:
         cluster.close()
         shutil.rmtree(cluster.folder, ignore_errors=True)
