@@ -82,11 +82,11 @@ class Learner:
         self.rng = np.random.default_rng([run.seed, 0x7D3])
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
+        self._started = time.monotonic()
         self.epoch = self._resume()
         self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
         self.statistics = EpisodeStatistics(run.failed_time_s)
         self.metrics = MetricsWriter(run.folder)
-        self._started = time.monotonic()
         self._rates = _Rates()
         self._publishing = _Every(settings.publish_every_s)
         self._reporting = _Every(settings.report_every_s)
@@ -162,7 +162,7 @@ class Learner:
     @property
     def finished(self) -> bool:
         """Whether the run has its transitions, or its minutes are over."""
-        minutes = (time.monotonic() - self._started) / 60.0
+        minutes = self._elapsed_s() / 60.0
         return self.replay.transitions_total >= self.run_info.transitions or 0.0 < self.run_info.minutes <= minutes
 
     def _resume(self) -> int:
@@ -172,12 +172,22 @@ class Learner:
         found = self.checkpoints.load(self.td3, self.rng)
         if found is not None:
             self.version = int(found["version"])
+            self._started -= float(found["elapsed_s"])
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
         write_atomic(file, json.dumps({"epoch": epoch}))
         return int(epoch)
 
     def _counts(self) -> dict[str, Any]:
-        return {"version": self.version, "epoch": self.epoch, "transitions": self.replay.transitions_total}
+        return {
+            "version": self.version,
+            "epoch": self.epoch,
+            "transitions": self.replay.transitions_total,
+            "elapsed_s": self._elapsed_s(),
+        }
+
+    def _elapsed_s(self) -> float:
+        """How long this run has trained, earlier learner processes up to their last checkpoint included."""
+        return time.monotonic() - self._started
 
     def _samples(self) -> int:
         return self.td3.updates * self.settings.td3.batch_size
@@ -237,7 +247,7 @@ class Learner:
             "run_transitions": self.run_info.transitions,
             "transitions": transitions,
             "updates": self.td3.updates,
-            "elapsed_s": time.monotonic() - self._started,
+            "elapsed_s": self._elapsed_s(),
             "transitions_per_s": self._rates.transitions_per_s,
             "updates_per_s": self._rates.updates_per_s,
             "samples_per_insert": self._samples() / max(transitions, 1),
