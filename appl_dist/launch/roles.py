@@ -27,6 +27,7 @@ from appl_dist.sim.worlds import World
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
+from appl_dist.wire.credentials import find
 from appl_dist.wire.liveness import Presence
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
@@ -78,10 +79,8 @@ def learner(settings: Settings) -> int:
 
     die_with_parent()
     stop = stop_event()
-    if not settings.wire.is_loopback and not settings.wire.users_file:
-        log.warning(
-            "%s: anyone who reaches this port can take part; wire.users_file restricts it", settings.wire.endpoint
-        )
+    if not settings.wire.is_loopback and settings.wire.security == "none":
+        log.warning("%s: anyone who reaches this port can take part; wire=tls restricts it", settings.wire.endpoint)
     with open_session(settings.wire, listen=True) as session:
         try:
             part = build_learner(settings, session)
@@ -130,14 +129,26 @@ def actor(settings: Settings) -> int:
     from appl_dist.wire.session import open_session
 
     die_with_parent()
-    stop = stop_event()
-    with open_session(settings.wire, listen=False) as session:
+    actor_id, identity = _who(settings)
+    with open_session(settings.wire, listen=False, identity=identity) as session:
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
+        stop = stop_event()  # until here there is nothing to end in order
         frozen = from_dict(served)
-        actor_id = settings.actor.id or f"actor-{socket.gethostname()}-{os.getpid()}"
         spool_folder = Path(settings.actor.spool or Path("spool") / run_id / actor_id)
         act_in_run(frozen, session, run_id, actor_id, spool_folder, stop.is_set)
     return 0
+
+
+def _who(settings: Settings) -> tuple[str, str]:
+    """(actor id, identity) of this process. UserError: the credentials do not cover the id."""
+    wire, wanted = settings.wire, settings.actor.id
+    here = f"{socket.gethostname()}-{os.getpid()}"
+    if wire.security == "none":
+        return wanted or f"actor-{here}", ""
+    identity = find(wire.keys, wire.identity or wanted)
+    if wanted and not identity.covers(wanted):
+        raise UserError(f"actor.id: {wanted} is not covered by identity {identity.name}; expected {identity.name}-…")
+    return wanted or f"{identity.name}-{here}", identity.name
 
 
 def act_in_run(
@@ -165,7 +176,7 @@ def act_in_run(
         weights = WeightsSubscriber(bus, run_id)
         presence = Presence(bus, run_id, "actor", actor_id)
         try:
-            uploader.start(LEARNER_AWAY_S)
+            uploader.start(LEARNER_AWAY_S, stop)
             seed = actor_seed(settings.run.seed, actor_id, spool.next_seq)
             explorer = Explorer(weights, env, settings.explore, settings.run.transitions, np.random.default_rng(seed))
             made = act(

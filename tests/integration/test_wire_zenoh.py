@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import logging
 import random
-import shutil
-import subprocess
 import threading
 from dataclasses import asdict
-from pathlib import Path
 
 import pytest
 
@@ -182,42 +179,3 @@ def test_nobody_but_the_learner_can_say_what_the_learner_says(settings, learner,
         client.close()
         publisher.close()
     subscriber.close()
-
-
-def test_only_listed_users_with_their_password_get_in(tmp_path):
-    users = tmp_path / "users"
-    users.write_text("a0:secret\n")
-    endpoint = free_endpoint()
-    with open_session(WireSettings(endpoint, users_file=str(users)), listen=True) as learner:
-        server = ControlServer(learner, "run1", "{}")
-        with open_session(WireSettings(endpoint, user="a0", password="secret"), listen=False) as actor:
-            assert fetch_run(actor)[0] == "run1"
-        for user, password in (("a0", "wrong"), ("a1", "secret"), ("", "")):
-            wrong = WireSettings(endpoint, timeout_s=0.5, user=user, password=password)
-            with pytest.raises(UserError, match="refused the credentials"):
-                open_session(wrong, listen=False)
-        server.close()
-
-
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs the openssl command to make certificates")
-def test_tls_with_our_certificate_works_and_with_another_one_does_not(tmp_path):
-    ours, other = (_certificate(tmp_path / name) for name in ("ours", "other"))
-    endpoint = free_endpoint().replace("tcp/", "tls/")
-    listening = WireSettings(endpoint, tls_certificate=ours[0], tls_key=ours[1])
-    with open_session(listening, listen=True) as learner:
-        server = ControlServer(learner, "run1", "{}")
-        with open_session(WireSettings(endpoint, tls_ca=ours[0]), listen=False) as actor:
-            assert fetch_run(actor)[0] == "run1"
-        with pytest.raises(UserError, match="certificates"):
-            open_session(WireSettings(endpoint, timeout_s=0.5, tls_ca=other[0]), listen=False)
-        server.close()
-
-
-def _certificate(folder: Path) -> tuple[str, str]:
-    """Paths of a self-signed certificate for 127.0.0.1 and its key."""
-    folder.mkdir()
-    certificate, key = str(folder / "cert.pem"), str(folder / "key.pem")
-    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=a"]
-    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-addext", "basicConstraints=critical,CA:FALSE"]
-    subprocess.run([*command, *names, "-keyout", key, "-out", certificate], check=True, capture_output=True)
-    return certificate, key
