@@ -187,10 +187,10 @@ def test_an_actor_cannot_speak_for_another_or_listen_to_it(learner: Learner) -> 
     if learner.settings.security == "none":
         pytest.skip("without credentials nobody has a name")
     heard: list[str] = []
-    with learner.open("a0") as rogue, learner.open("a1") as honest:
+    with learner.open("a0") as rogue, learner.open("a0") as ear, learner.open("a1") as honest:
         for key in ("appl/**", keys.progress("run1", "*", "*"), keys.upload("*", "*")):
-            rogue.subscribe(key, lambda message: heard.append(message.key))
-        rogue.watch(keys.alive("run1", "actor", "*", "*"), lambda key, _: heard.append(key))
+            ear.subscribe(key, lambda message: heard.append(message.key))
+        ear.watch(keys.alive("run1", "actor", "*", "*"), lambda key, _: heard.append(key))
         rogue.announce(keys.claim("run1", "a1", rogue.identity))
         rogue.announce(keys.alive("run1", "actor", "a1", rogue.identity))
         rogue.put(keys.progress("run1", "actor", "a1"), pack({"wire": 1, "incarnation": "x", "progress": {"lie": 1}}))
