@@ -251,6 +251,7 @@ class Learner:
             "transitions_per_s": self._rates.transitions_per_s,
             "updates_per_s": self._rates.updates_per_s,
             "samples_per_insert": self._samples() / max(transitions, 1),
+            "refused": self.server.refused() if hasattr(self, "server") else {},
             "queue": sum(a["pending"] for a in actors),
             "version": self.version,
             "sigma": self.run_info.sigma(transitions),

@@ -96,6 +96,28 @@ def size_limits() -> list[dict[str, Any]]:
     ]
 
 
+def rate_limits() -> list[dict[str, Any]]:
+    """zenoh's `downsampling`: what one connection says faster than this is dropped by the transport.
+
+    Uploads are not among them: the learner's queue bounds those by actor (`upload.UploadServer`).
+    """
+    limits = {
+        "progress": ("put", [keys.progress(ANY, ANY, ANY)], _PROGRESS_HZ),
+        "questions": ("query", list(ASKED), _QUESTIONS_HZ),
+    }
+    return [
+        {
+            "id": name,
+            "flows": ["ingress"],
+            "messages": [message],
+            "rules": [{"key_expr": key, "freq": hertz} for key in key_exprs],
+        }
+        for name, (message, key_exprs, hertz) in limits.items()
+    ]
+
+
+_PROGRESS_HZ = 10.0
+_QUESTIONS_HZ = 100.0  # of each kind
 _MESSAGES = [
     "put", "delete", "declare_subscriber", "query", "declare_queryable", "reply",
     "liveliness_token", "declare_liveliness_subscriber", "liveliness_query",

@@ -16,7 +16,7 @@ from typing import Any
 import zenoh
 
 from appl_dist.errors import UserError
-from appl_dist.wire.access import access_control, size_limits
+from appl_dist.wire.access import access_control, rate_limits, size_limits
 from appl_dist.wire.bus import Handle, Message, Query
 from appl_dist.wire.credentials import CA_FILE, CERTIFICATE_FILE, KEY_FILE, LEARNER, USERS_FILE, Identity, find
 from appl_dist.wire.settings import WireSettings
@@ -95,6 +95,7 @@ def _config(settings: WireSettings, listen: bool, identity: str) -> dict[str, An
             users, "cert_common_names" if settings.security == "tls" else "usernames"
         )
         config["low_pass_filter"] = size_limits()
+        config["downsampling"] = rate_limits()
     else:
         config["connect"] = {
             "endpoints": [settings.connect_endpoint],
