@@ -21,23 +21,22 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import psutil
 
-from appl_dist.actor.env import NavigationEnv
-from appl_dist.actor.rollout import collect
-from appl_dist.learner.main import Learner, Run
 from appl_dist.learner.settings import LearnerSettings, TD3Settings
-from appl_dist.sim.generate import generate_worlds
 from appl_dist.spec import DWA, Rollout
 from appl_dist.wire import keys
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.codec import Ack, UploadHeader, decode_header, encode_header, encode_rollout
 from appl_dist.wire.session import open_session
 from appl_dist.wire.settings import WireSettings
-from appl_dist.wire.weights import WeightsSubscriber
+from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
+
+if TYPE_CHECKING:  # clients are light: torch and the simulator are imported where they are used
+    from appl_dist.learner.main import Learner
 
 RUN = "bench"
 BATCH = 41  # transitions: 64 KB
@@ -47,6 +46,10 @@ FOR_EVER = 10**9
 
 def record(count: int) -> list[bytes]:
     """`count` batches of real transitions: random parameters in generated worlds."""
+    from appl_dist.actor.env import NavigationEnv
+    from appl_dist.actor.rollout import collect
+    from appl_dist.sim.generate import generate_worlds
+
     env, rng, episodes = NavigationEnv(generate_worlds(20, 0)), np.random.default_rng(0), []
     while sum(map(len, episodes)) < count * BATCH:
         rollout = collect(env, lambda _: rng.uniform(-1, 1, len(DWA)).astype(np.float32), seed=None if episodes else 0)
@@ -72,6 +75,8 @@ def endpoint() -> str:
 
 def learner(bus: Bus, folder: Path, train: bool) -> Learner:
     """A learner that never holds an upload back, and trains at full speed or not at all."""
+    from appl_dist.learner.main import Learner, Run
+
     settings = LearnerSettings(
         td3=TD3Settings(), replay_capacity=500_000, samples_tolerance=FOR_EVER,
         min_transitions=1000 if train else FOR_EVER,
@@ -199,8 +204,6 @@ def weights_process(index: int, count: int, address: str, versions: int, barrier
 
 
 def weights(clients: int, versions: int = 5) -> None:
-    from appl_dist.wire.weights import WeightsPublisher
-
     context = multiprocessing.get_context("spawn")
     address, parts = endpoint(), split(clients)
     barrier, out = context.Barrier(len(parts) + 1), context.Queue()
