@@ -17,6 +17,7 @@ ROLES = {
     "launch": "run on a cluster: appl-dist launch launch=slurm launch.actors=500",
     "status": "ask a run how it is: appl-dist status wire.endpoint=… (--here: and its actors on this host)",
     "evaluate": "compare policies on worlds: appl-dist evaluate +evaluation.methods.mine=FILE",
+    "keys": "make certificates and passwords for a run on several machines: appl-dist keys FOLDER",
     "ledger": "compare what actors sent with what is in replay: appl-dist ledger RUN [SPOOL_FOLDER …]",
     "worlds": "check, generate, count or draw BARN worlds",
     "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE…",
@@ -55,6 +56,10 @@ def _run(role: str, rest: list[str]) -> int:
         from appl_dist.planner.conformance import main as conformance
 
         return conformance(rest)
+    if role == "keys":
+        from appl_dist.launch.keys import main as keys
+
+        return keys(rest)
     if role == "ledger":
         from appl_dist.launch.ledger import main as ledger
         from appl_dist.launch.view import make_console

@@ -22,6 +22,7 @@ from appl_dist.launch.processes import USER_ERROR, Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, environment_arguments, open_spool, stop_event
 from appl_dist.launch.runs import prepare, worlds_of
 from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.credentials import VIEWER
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +101,7 @@ def _watch(
                     notes.append(f"{child.name} was restarted ({child.restarts}); see {child.log_file}")
             try:
                 if session is None:
-                    session = open_session(replace(settings.wire, timeout_s=CONNECT_S), listen=False)
+                    session = open_session(replace(settings.wire, timeout_s=CONNECT_S), False, VIEWER)
                 if run_id is None:
                     run_id, _ = fetch_run(session, 1.0)
                 status = fetch_status(session, run_id, 2.0)

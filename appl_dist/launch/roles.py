@@ -27,6 +27,7 @@ from appl_dist.launch.view import make_console
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
+from appl_dist.wire.credentials import ACTOR, find
 from appl_dist.wire.liveness import Presence
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
@@ -86,10 +87,8 @@ def learner(settings: Settings) -> int:
     die_with_parent()
     stop, leave = stop_event(), leave_event()
     settings, folder = prepare(settings, or_continue=True)
-    if not settings.wire.is_loopback and not settings.wire.users_file:
-        log.warning(
-            "%s: anyone who reaches this port can take part; wire.users_file restricts it", settings.wire.endpoint
-        )
+    if not settings.wire.is_loopback and settings.wire.security == "none":
+        log.warning("%s: anyone who reaches this port can take part; wire=tls restricts it", settings.wire.endpoint)
     with open_session(settings.wire, listen=True) as session:
         try:
             part = build_learner(settings, session)
@@ -134,31 +133,51 @@ def actor(settings: Settings) -> int:
     from appl_dist.wire.session import open_session
 
     die_with_parent()
-    stop = stop_event()
+    own, identity = _who(settings)
     wire = settings.wire
-    if settings.actor.run:
-        where = whereabouts(Path(settings.actor.run))
+    if own.run:
+        where = whereabouts(Path(own.run))
         if where.ended:
-            log.info("the run in %s has ended", settings.actor.run)
+            log.info("the run in %s has ended", own.run)
             return 0
         wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
-    with open_session(wire, listen=False) as session:
+    with open_session(wire, listen=False, identity=identity) as session:
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
+        stop = stop_event()  # until here there is nothing to end in order
         frozen = from_dict(served)
-        with open_spool(settings.actor, frozen.actor, run_id) as spool:
+        with open_spool(own, frozen.actor, run_id, identity) as spool:
             act_in_run(frozen, session, run_id, spool, stop.is_set)
     return 0
 
 
-def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str) -> Spool:
-    """The spool of the actor that `own` describes, as large as `limits` says; its folder's name is the actor's id."""
+def _who(settings: Settings) -> tuple[ActorSettings, str]:
+    """(this actor, its identity). Without an id, and a run's folder to choose it in, the actor gets one of its own.
+
+    UserError: the credentials do not cover the id.
+    """
+    wire, own = settings.wire, settings.actor
+    name = ACTOR
+    if wire.security != "none":
+        identity = find(wire.keys, wire.identity or own.id)
+        name = identity.name
+        if own.id and not identity.covers(own.id):
+            raise UserError(f"actor.id: {own.id} is not covered by identity {name}; expected {name}-…")
+    if not own.id and not own.run:
+        own = replace(own, id=f"{name}-{socket.gethostname()}-{os.getpid()}")
+    return own, name
+
+
+def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str, identity: str = ACTOR) -> Spool:
+    """The spool of the actor that `own` describes, as large as `limits` says; its owner's name is the actor's id.
+
+    Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has.
+    """
     root = Path(own.run) / "spool" if own.run else Path("spool") / run_id
-    if own.id or own.spool or not own.run:
-        actor_id = own.id or f"actor-{socket.gethostname()}-{os.getpid()}"
-        return _spool(Path(own.spool or root / actor_id), actor_id, limits, run_id)
+    if own.id:
+        return _spool(Path(own.spool or root / own.id), own.id, limits, run_id)
     # Where a dead actor's rollouts wait comes first, so that they are sent by whoever takes its place.
-    names = [f"actor-{i}" for i in range(MAX_ACTORS)]
-    waiting = {path.parent.name for path in root.glob("actor-*/*.rollout")}
+    names = [f"{identity}-{i}" for i in range(MAX_ACTORS)]
+    waiting = {path.parent.name for path in root.glob(f"{identity}-*/*.rollout")}
     for name in sorted(names, key=lambda n: n not in waiting):
         try:
             return _spool(root / name, name, limits, run_id)
@@ -196,7 +215,7 @@ def act_in_run(
     host = socket.gethostname()
     patience = Patience(lambda: control.learner_present, 60.0 * settings.actor.patience_min)
     try:
-        uploader.start(LEARNER_AWAY_S)
+        uploader.start(LEARNER_AWAY_S, stop)
         seed = actor_seed(settings.run.seed, actor_id, spool.next_seq)
         explorer = Explorer(weights, env, settings.explore, settings.run.transitions, np.random.default_rng(seed))
         made = act(

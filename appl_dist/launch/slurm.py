@@ -13,6 +13,7 @@ from pathlib import Path
 from appl_dist.config import CONFIG_FILE, Settings
 from appl_dist.launch.runs import LEARNER_FILE
 from appl_dist.launch.settings import LaunchSettings
+from appl_dist.wire.credentials import ACTOR
 
 _AGAIN = """\
 # SIGUSR1 comes {signal_s} s before the time limit: {what}, and queue again.
@@ -97,7 +98,7 @@ def _actors(settings: Settings, folder: Path, cwd: Path) -> str:
         folder,
         cwd,
         f"actors --config={_q(folder / CONFIG_FILE)} actor.run={_q(folder)} "
-        "actor.id=task-$SLURM_ARRAY_TASK_ID actors=$count",
+        f"actor.id={settings.wire.identity or ACTOR}-$SLURM_ARRAY_TASK_ID actors=$count",
     )
     return _script(
         f"{folder.name}-actors",

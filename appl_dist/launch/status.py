@@ -12,6 +12,7 @@ from appl_dist.errors import UserError
 from appl_dist.launch import view
 from appl_dist.launch.runs import whereabouts
 from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.credentials import VIEWER
 
 ANSWER_S = 5.0
 SILENT_S = 60.0  # a learner or an actor that has not moved for so long is not well
@@ -31,7 +32,7 @@ def status(settings: Settings, here: bool = False) -> int:
         if where.ended:
             raise UserError(f"the run in {settings.actor.run} has ended")
         wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
-    with open_session(wire, listen=False) as session:
+    with open_session(wire, listen=False, identity=VIEWER) as session:
         run_id, _ = fetch_run(session, ANSWER_S)
         answer = fetch_status(session, run_id, ANSWER_S)
     if "error" in answer:

@@ -169,7 +169,7 @@ class Learner:
     @property
     def finished(self) -> bool:
         """Whether the run has its transitions, or its minutes are over."""
-        minutes = (time.monotonic() - self._started) / 60.0
+        minutes = self._elapsed_s() / 60.0
         return self.replay.transitions_total >= self.run_info.transitions or 0.0 < self.run_info.minutes <= minutes
 
     def _resume(self) -> int:
@@ -179,7 +179,7 @@ class Learner:
         found = self.checkpoints.load(self.td3, self.rng)
         if found is not None:
             self.version = int(found["version"])
-            self._started -= float(found.get("elapsed_s", 0.0))  # `minutes` are the run's, not this process's
+            self._started -= float(found["elapsed_s"])
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
         write_atomic(file, json.dumps({"epoch": epoch}))
         return int(epoch)
@@ -189,8 +189,12 @@ class Learner:
             "version": self.version,
             "epoch": self.epoch,
             "transitions": self.replay.transitions_total,
-            "elapsed_s": time.monotonic() - self._started,
+            "elapsed_s": self._elapsed_s(),
         }
+
+    def _elapsed_s(self) -> float:
+        """How long this run has trained, earlier learner processes up to their last checkpoint included."""
+        return time.monotonic() - self._started
 
     def _samples(self) -> int:
         return self.td3.updates * self.settings.td3.batch_size
@@ -230,7 +234,7 @@ class Learner:
 
     def _status_told(self) -> dict[str, Any]:
         """The last status, with its age: a learner that hangs still answers, from the wire's thread."""
-        return {**self._status, "age_s": time.monotonic() - self._started - self._status["elapsed_s"]}
+        return {**self._status, "age_s": self._elapsed_s() - self._status["elapsed_s"]}
 
     def _status_now(self) -> dict[str, Any]:
         """What the terminal view, the metrics file and TensorBoard show."""
@@ -255,10 +259,11 @@ class Learner:
             "run_transitions": self.run_info.transitions,
             "transitions": transitions,
             "updates": self.td3.updates,
-            "elapsed_s": time.monotonic() - self._started,
+            "elapsed_s": self._elapsed_s(),
             "transitions_per_s": self._rates.transitions_per_s,
             "updates_per_s": self._rates.updates_per_s,
             "samples_per_insert": self._samples() / max(transitions, 1),
+            "refused": self.server.refused() if hasattr(self, "server") else {},
             "queue": sum(a["pending"] for a in actors),
             "version": self.version,
             "sigma": self.run_info.sigma(transitions),

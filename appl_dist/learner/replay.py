@@ -65,7 +65,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class Stored:
-    """One rollout as replay holds it, without its scans. other (n + 1, k): the rest of the observations; actions (n, a);
+    """One rollout as replay holds it, without its scans: other (n + 1, k) of the observations, actions (n, a),
     rewards (n,).
     """
 

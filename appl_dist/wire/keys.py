@@ -60,8 +60,3 @@ def alive(run_id: str, role: str, member_id: str, incarnation: str) -> str:
 
 def progress(run_id: str, role: str, member_id: str) -> str:
     return f"appl/{run_id}/progress/{role}/{member_id}"
-
-
-# What only the learner may say. The learner's router refuses these from every other process.
-LEARNER_SERVES = (RUN, upload(ANY, ANY), weights(ANY), state(ANY), status(ANY))
-LEARNER_TOKENS = (alive(ANY, "learner", ANY, ANY),)

@@ -79,13 +79,13 @@ class Uploader:
         self._claim = bus.announce(keys.claim(run_id, actor_id, bus.identity))
         self._thread = threading.Thread(target=self._run, name="uploader", daemon=True)
 
-    def start(self, timeout_s: float = 10.0) -> None:
+    def start(self, timeout_s: float = 10.0, stop: Callable[[], bool] = lambda: False) -> None:
         """Greet the learner, agree on the next sequence number, then upload in the background.
 
-        UserError: refused, or no learner answered within `timeout_s`.
+        UserError: refused, or no learner answered within `timeout_s`. Returns early if `stop()`.
         """
         deadline = self._clock() + timeout_s
-        while not self._greeted:
+        while not self._greeted and not stop():
             self._greeted = self._hello()
             if self.refused:
                 raise UserError(self.refused)

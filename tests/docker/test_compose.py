@@ -51,8 +51,8 @@ class Compose:
     def containers(self, service: str) -> list[dict[str, Any]]:
         """What the engine says of each, ended ones included."""
         ids = docker(
-            "ps", "-aq", "--filter", "label=com.docker.compose.project=appltest",
-            "--filter", f"label=com.docker.compose.service={service}", "--filter", "label=com.docker.compose.oneoff=False",
+            "ps", "-aq", "--filter", "label=com.docker.compose.project=appltest", "--filter",
+            f"label=com.docker.compose.service={service}", "--filter", "label=com.docker.compose.oneoff=False",
         ).split()  # fmt: skip
         found: list[dict[str, Any]] = json.loads(docker("inspect", *ids)) if ids else []
         return found
@@ -117,7 +117,7 @@ def test_compose_runs_scales_survives_and_stops(compose: Compose) -> None:
         assert b"Read-only file system" in touched.stderr
     torch = ["docker", "exec", actors[0]["Id"], "python3", "-c", "import torch"]
     assert b"No module named 'torch'" in subprocess.run(torch, capture_output=True, check=False).stderr
-    assert b"runs" in urllib.request.urlopen("http://127.0.0.1:6006/data/runs", timeout=20).read() or True
+    assert json.load(urllib.request.urlopen("http://127.0.0.1:6006/data/runs", timeout=20)) == ["test"]
 
     before = transitions(compose.status())
     compose.wait(lambda: transitions(compose.status()) > before + 60, "transitions")

@@ -28,8 +28,8 @@ def options(text: str) -> list[str]:
 def test_what_is_asked_for_is_in_the_scripts() -> None:
     chosen = settings(
         "launch.actors_per_task=16", "launch.partition=cpu", "launch.account=lab", "launch.time=2-00:00:00",
-        "launch.actor_memory_gb=0.5", "launch.learner_memory_gb=16", "launch.extra=['--qos=long']", "launch.signal_s=90",
-        "launch.learner_extra=['--gres=gpu:1']",
+        "launch.actor_memory_gb=0.5", "launch.learner_memory_gb=16", "launch.extra=['--qos=long']",
+        "launch.signal_s=90", "launch.learner_extra=['--gres=gpu:1']",
     )  # fmt: skip
     (_, learner), (_, actors) = slurm.scripts(chosen, FOLDER, CWD)
     for text in (learner, actors):
