@@ -66,7 +66,7 @@ def _run(role: str, rest: list[str]) -> int:
     elif role == "actor":
         from appl_dist.launch.roles import actor as run
     else:
-        from appl_dist.launch.roles import evaluate as run
+        from appl_dist.launch.evaluation import evaluate as run
     return run(settings)
 
 

@@ -16,13 +16,11 @@ import numpy as np
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.main import Explorer, act, actor_seed
-from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.spool import Spool
 from appl_dist.actor.worldset import select_worlds
 from appl_dist.config import Settings, as_dict, cores, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.launch.view import make_console
 from appl_dist.sim.worlds import World
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
@@ -119,7 +117,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         minutes=settings.run.minutes,
         config=as_dict(settings),
         space=SPACES[settings.env.space],
-        failed_time_s=PROTOCOLS[settings.protocol].failed_time_s,
+        failed_time_s=settings.protocol.failed_time_s,
         sigma=lambda n: settings.explore.sigma(n, settings.run.transitions),
     )
     return Learner(bus, run, settings.learner)
@@ -155,7 +153,7 @@ def act_in_run(
     """
     env = NavigationEnv(
         worlds_of(settings, settings.world.train),
-        protocol=PROTOCOLS[settings.protocol],
+        protocol=settings.protocol,
         **environment_arguments(settings),
     )
     limit_bytes = settings.actor.spool_megabytes << 20
@@ -183,22 +181,3 @@ def act_in_run(
         finally:
             for part in (uploader, control, weights, presence, env):
                 part.close()
-
-
-def evaluate(settings: Settings) -> int:
-    """Compare the configured methods; prints the tables and writes the results."""
-    from appl_dist.evaluate.main import evaluate as run
-
-    folder = settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S")
-    run(
-        list(settings.evaluation.methods.items()),
-        worlds_of(settings, settings.evaluation.worlds),
-        settings.evaluation.trials,
-        folder,
-        protocol=settings.protocol,
-        environment=environment_arguments(settings),
-        workers=settings.evaluation.workers or cores(),
-        seed=settings.run.seed,
-        console=make_console(),
-    )
-    return 0
