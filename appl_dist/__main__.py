@@ -14,6 +14,8 @@ ROLES = {
     "learner": "run only the learner; actors anywhere connect to wire.endpoint",
     "actor": "run one actor: appl-dist actor wire.endpoint=tcp/HOST:7447",
     "evaluate": "compare policies on worlds: appl-dist evaluate +evaluation.methods.mine=FILE",
+    "replay": "drive trials of an evaluation again, film them: appl-dist replay FOLDER METHOD/WORLD/TRIAL --film t.gif",
+    "report": "one page, tables and figures of evaluations: appl-dist report FOLDER…",
     "worlds": "check, generate, count or draw BARN worlds",
     "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE…",
 }
@@ -48,6 +50,14 @@ def _run(role: str, rest: list[str]) -> int:
         from appl_dist.sim.cli import worlds_main
 
         return worlds_main(rest)
+    if role == "replay":
+        from appl_dist.launch.replay import replay_main
+
+        return replay_main(rest)
+    if role == "report":
+        from appl_dist.launch.replay import report_main
+
+        return report_main(rest)
     if role == "conformance":
         from appl_dist.planner.conformance import main as conformance
 

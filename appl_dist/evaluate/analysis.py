@@ -115,7 +115,7 @@ def make_group(
     comparisons: bool = True,
 ) -> Group:
     """Everything about `worlds`, in all of which every method has trials."""
-    compared = {}
+    compared: dict[tuple[str, str], Comparison] = {}
     for i, a in enumerate(methods if comparisons else ()):
         for b in methods[:i]:
             c = compare(a, b, samples, worlds, rng=np.random.default_rng(seed))

@@ -61,6 +61,7 @@ class Recording:
     beam_angles: Array  # rad, robot frame
     lidar_x_m: float
     resolution_m: float
+    period_s: float  # between decisions
 
     def scan_points(self, frame: Frame) -> Array:
         """(k, 2) world points where beams of `frame` ended."""
@@ -139,6 +140,7 @@ def replay(env: NavigationEnv, trial: Trial, every_ms: int = 0) -> Recording:
         beam_angles=np.linspace(lidar.angle_min_rad, lidar.angle_max_rad, lidar.beams),
         lidar_x_m=lidar.mount_x_m,
         resolution_m=env.loop.navigator.settings.resolution_m,
+        period_s=env.period_ms / 1000.0,
     )
 
 

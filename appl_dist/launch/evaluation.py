@@ -13,6 +13,7 @@ from rich.console import Console
 
 from appl_dist.actor.worldset import select_worlds, split_groups
 from appl_dist.config import Settings, as_dict, cores
+from appl_dist.launch.replay import open_env
 from appl_dist.launch.roles import environment_arguments
 from appl_dist.launch.view import make_console
 
@@ -54,7 +55,7 @@ def evaluate_methods(
     )
     from appl_dist.report.main import print_tables, write_report
 
-    report = write_report([run or folder], folder)
+    report = write_report([run or folder], folder, open_env)
     print_tables(report, console)
 
 

@@ -19,9 +19,9 @@ from appl_dist.config import Settings, as_dict, cores, from_dict
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.launch import view
-from appl_dist.launch.processes import USER_ERROR, Child, stop_all
 from appl_dist.launch.evaluation import evaluate_methods
-from appl_dist.launch.roles import act_in_run, build_learner, environment_arguments, stop_event, worlds_of
+from appl_dist.launch.processes import USER_ERROR, Child, stop_all
+from appl_dist.launch.roles import act_in_run, build_learner, stop_event, worlds_of
 from appl_dist.wire.control import fetch_run, fetch_status
 
 log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.main import Explorer, act, actor_seed
 from appl_dist.actor.spool import Spool
 from appl_dist.actor.worldset import select_worlds
-from appl_dist.config import Settings, as_dict, cores, from_dict
+from appl_dist.config import Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.sim.worlds import World

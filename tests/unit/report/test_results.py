@@ -15,7 +15,7 @@ from rich.console import Console
 from appl_dist.errors import UserError
 from appl_dist.evaluate.analysis import Analysis, analyse, as_dict
 from appl_dist.files import write_atomic
-from appl_dist.report import figures
+from appl_dist.report import figures, style
 from appl_dist.report.tables import mean_table, wins_table
 from tests.unit.evaluate.synthetic import make_trial
 
@@ -98,8 +98,8 @@ def test_summary_is_json_without_nan(analysis: Analysis) -> None:
 
 
 def test_figures_are_written_and_repeat_byte_for_byte(analysis: Analysis, tmp_path: Path) -> None:
-    files = figures.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "difference")
-    again = figures.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "again")
+    files = style.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "difference")
+    again = style.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "again")
     assert [f.read_bytes() for f in files] == [f.read_bytes() for f in again]
     assert files[0].read_bytes().startswith(b"\x89PNG")
     assert files[1].read_bytes().startswith(b"%PDF")
