@@ -18,7 +18,7 @@ APART_MS = 500  # contacts closer together than this are one collision: a body t
 class TrialMonitor:
     """Path, clearance and collisions of a trial.
 
-    `trajectory` holds true poses in the world frame, so its digest tells whether two trials drove the same, bit for bit.
+    `trajectory` holds true poses in the world frame: its digest tells whether two trials drove the same, bit for bit.
     """
 
     def __init__(self) -> None:

@@ -48,7 +48,7 @@ def generation_sets(analysis: Analysis, courses: Mapping[int, Course]) -> list[G
 
 def set_name(index: int) -> str:
     fill, smoothing = divmod(index, len(SMOOTHINGS))
-    return f"{FILLS[fill]:.0%} filled, {SMOOTHINGS[smoothing]} smoothings"
+    return f"{100 * FILLS[fill]:.0f} % filled, {SMOOTHINGS[smoothing]} smoothings"
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class Course:
 class Head:
     """What was asked of an evaluation. groups: worlds reported together; settings: the configuration, plain.
 
-    sessions: one for each time it ran: when, machine, code, trials, seconds, episodes per second, multiple of real time.
+    sessions: one for each time it ran: when, machine, code, trials, seconds, episodes/s, multiple of real time.
     """
 
     protocol: Protocol

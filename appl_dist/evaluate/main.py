@@ -82,19 +82,25 @@ def evaluate(
         head = write_head(folder, head, [course_facts(w, rules) for w in worlds if w.index in set(indices)])
         if old:
             log.info("%s: %d of %d trials are there already", folder, old, len(jobs))
-        begun, started = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
+        session: dict[str, Any] = {}
+        if old < len(jobs):
+            session = _begin(workers)
+            head = replace(head, sessions=(*head.sessions, session))
+            save_head(folder, head)  # before the first trial: a killed evaluation, too, says where it ran
         driven: list[Trial] = []
-        with show_progress(len(jobs), "evaluate", console, done=old) as on_trial:
+        started = time.monotonic()
+        try:
+            with show_progress(len(jobs), "evaluate", console, done=old) as on_trial:
 
-            def note(trial: Trial) -> None:
-                driven.append(trial)
-                on_trial(trial)
+                def note(trial: Trial) -> None:
+                    driven.append(trial)
+                    on_trial(trial)
 
-            trials = run_jobs(jobs, runner, workers=workers, log=trial_log, on_trial=note)
-        session = _session(driven, time.monotonic() - started, workers)
-        if session:
-            head = replace(head, sessions=(*head.sessions, {"begun": begun, **session}))
-            save_head(folder, head)
+                trials = run_jobs(jobs, runner, workers=workers, log=trial_log, on_trial=note)
+        finally:
+            if session:
+                session |= _speed(driven, time.monotonic() - started)
+                save_head(folder, head)
     labels = [m.label for m in checked]
     analysis = analyse(trials, labels, chosen, limit_s=rules.limit_s, failed_time_s=rules.failed_time_s, seed=seed)
     write_atomic(folder / SUMMARY_FILE, json.dumps({"session": session, **as_dict(analysis)}, indent=1) + "\n")
@@ -111,17 +117,22 @@ def speed_line(session: Mapping[str, Any]) -> str:
     )
 
 
-def _session(driven: Sequence[Trial], seconds: float, workers: int) -> dict[str, Any]:
-    if not driven:
-        return {}
+def _begin(workers: int) -> dict[str, Any]:
     return {
-        "trials": len(driven),
-        "seconds": seconds,
+        "begun": datetime.now(UTC).isoformat(timespec="seconds"),
         "workers": max(1, workers),
-        "episodes_per_s": len(driven) / seconds,
-        "x_real_time": sum(t.time_s for t in driven) / seconds,
         "machine": provenance.machine(),
         "code": provenance.code(),
+        **_speed((), 1.0),
+    }
+
+
+def _speed(driven: Sequence[Trial], seconds: float) -> dict[str, Any]:
+    return {
+        "trials": len(driven),
+        "seconds": seconds if driven else 0.0,
+        "episodes_per_s": len(driven) / seconds,
+        "x_real_time": sum(t.time_s for t in driven) / seconds,
     }
 
 

@@ -158,8 +158,9 @@ def run_jobs(
     """Run the jobs that `log` does not hold yet; return the trials of all, in the order of `jobs`.
 
     `make_runner` is called once in each of `workers` spawned processes (0: in this process), so it must
-    pickle. `on_trial` is called in this process for each trial that is run, in order of completion. Raises UserError for bad input or a full disk, RuntimeError with the worker's traceback for a
-    fault in a runner; whatever ends it, the log holds every finished trial and no worker is left.
+    pickle. `on_trial` is called in this process for each trial that is run, in order of completion. Raises
+    UserError for bad input or a full disk, RuntimeError with the worker's traceback for a fault in a runner;
+    whatever ends it, the log holds every finished trial and no worker is left.
     """
     done: dict[tuple[str, int, int], Trial] = {}
     if log is not None:

@@ -37,7 +37,11 @@ def difference_figure(analysis: Analysis, method: str, versus: str) -> Figure:
         )
         rank = np.arange(1, len(order) + 1)
         for chosen, colour, label in kinds:
-            panel.bar(rank[chosen], difference_s[chosen], width=0.9, color=colour, label=label)
+            panel.bar(
+                rank[chosen], difference_s[chosen], width=0.9, color=colour, label=label if chosen.any() else None
+            )
+            if not chosen.any():
+                panel.plot([], [], "s", color=colour, markersize=8, label=label)
         panel.axhline(0.0, color="black", linewidth=0.6)
         panel.axhline(
             -c.improvement_s,
@@ -95,7 +99,7 @@ def times_figure(analysis: Analysis) -> Figure:
                 panel.plot(rank, np.polyval(np.polyfit(rank, values[order], 1), rank), color=colour, linestyle=dash)
             panel.plot([], [], color=colour, linestyle=dash, marker=marker, markersize=4, label=label)
         panel.axhline(analysis.failed_time_s, color=GREY, linewidth=0.7, linestyle=":")
-        panel.set_ylim(0.0, None)
+        panel.set_ylim(0.0, 1.2 * float(means.max()))  # room for the legend
         panel.set_xlim(0.0, len(order) + 1.0)
         panel.grid(axis="y", color="#E0E0E0", linewidth=0.6)
         panel.set_ylabel("mean traversal time, s")

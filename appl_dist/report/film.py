@@ -9,6 +9,7 @@ import io
 import shutil
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,9 +47,11 @@ def write_film(recording: Recording, path: Path) -> None:
     write_atomic(path, gif_bytes(recording) if kind == ".gif" else _mp4_bytes(recording))
 
 
-def gif_bytes(recording: Recording, *, every: int = 1, scale: float = 1.0) -> bytes:
-    """A looping GIF; every, scale: fewer and smaller frames."""
-    images = [_resized(i, scale) for i in list(draw_frames(recording))[::every]]
+def gif_bytes(recording: Recording, *, frames: int = 0, scale: float = 1.0) -> bytes:
+    """A looping GIF in real time; frames: about how many are kept, 0 for all; scale: of their size."""
+    every = max(1, len(recording.frames) // frames) if frames else 1
+    thinned = replace(recording, frames=(*recording.frames[:-1:every], recording.frames[-1]))
+    images = [_resized(i, scale) for i in draw_frames(thinned)]
     palette = images[len(images) // 2].quantize(64)
     small = [i.quantize(palette=palette, dither=Image.Dither.NONE) for i in images]
     data = io.BytesIO()
@@ -136,7 +139,7 @@ class _View:
         cell = self._recording.resolution_m * SCALE
         size = (round(shade.shape[1] * cell), round(shade.shape[0] * cell))
         grey = Image.fromarray(shade).resize(size, Image.Resampling.NEAREST)
-        top_left = frame.costmap_origin + (0.0, frame.costmap.shape[0] * self._recording.resolution_m)
+        top_left = frame.costmap_origin + np.array((0.0, frame.costmap.shape[0] * self._recording.resolution_m))
         px, py = self._pixels(top_left[None])[0]
         world.paste(grey.convert("RGB"), (round(px), round(py)))
 

@@ -41,24 +41,25 @@ def decision_of(recording: Recording) -> NDArray[np.int64]:
     return np.clip(np.ceil(t_s / recording.period_s - 1e-9).astype(np.int64) - 1, 0, n - 1)
 
 
-def map_figure(recordings: Sequence[Recording], what: str = SPEED, columns: int = 4) -> Figure:
+def map_figure(recordings: Sequence[Recording], what: str = SPEED, columns: int = 6) -> Figure:
     """One map a recording, the path coloured by `what`, on a common scale."""
     rows = -(-len(recordings) // columns)
-    figure = new_figure(3.2 * rows + 0.3)
+    figure = new_figure(2.7 * rows + 0.2)
     panels = figure.subplots(rows, min(columns, len(recordings)), squeeze=False).ravel()
     values = [path_values(r, what) for r in recordings]
     top = max((float(v.max()) for v, _ in values), default=1.0)
     bottom = 0.0 if what == SPEED else min(float(v.min()) for v, _ in values)
     line = None
     for panel, recording, (v, _) in zip(panels, recordings, values, strict=False):
-        draw_world(panel, recording.world)
+        draw_world(panel, recording)
         line = draw_path(panel, recording, v, (bottom, max(top, bottom + 1e-9)))
         t = recording.trial
-        panel.set_title(f"{trial_name(t)}\n{t.outcome}, {t.time_s:.1f} s, {t.distance_m:.1f} m", fontsize=7.5)
+        panel.set_title(f"{trial_name(t)}\n{t.outcome}, {t.time_s:.1f} s\n{t.distance_m:.1f} m", fontsize=7)
     for panel in panels[len(recordings) :]:
         panel.set_axis_off()
     if line is not None:
-        figure.colorbar(line, ax=list(panels), label=values[0][1], shrink=0.7, pad=0.01)
+        bar = figure.colorbar(line, ax=list(panels), label=values[0][1], shrink=0.7, pad=0.01, aspect=30)
+        bar.ax.tick_params(labelsize=7)
     return figure
 
 
@@ -69,7 +70,7 @@ def inset_figure(recording: Recording, frame: Frame, what: str = SPEED) -> Figur
     overview = figure.add_subplot(grid[:, 0])
     lidar, costs = figure.add_subplot(grid[:, 1]), figure.add_subplot(grid[:, 2])
     values, label = path_values(recording, what)
-    draw_world(overview, recording.world)
+    draw_world(overview, recording)
     line = draw_path(overview, recording, values, (float(values.min()), max(float(values.max()), 1e-9)))
     bar = figure.colorbar(line, ax=overview, label=label, shrink=0.6, pad=0.02)
     bar.ax.tick_params(labelsize=7)
@@ -123,10 +124,12 @@ def parameter_figure(recording: Recording) -> Figure:
     return figure
 
 
-def draw_world(panel: Axes, world: World) -> None:
-    draw_cylinders(panel, world, "0.3")
-    panel.plot(*world.path_official.T, color="#CC79A7", linewidth=0.6, linestyle=":")
-    panel.set(xlim=(-5.0, 0.5), ylim=(2.0, 13.6), aspect="equal")
+def draw_world(panel: Axes, recording: Recording) -> None:
+    """Obstacles, the reference path, and as much of the world as was driven through."""
+    draw_cylinders(panel, recording.world, "0.3")
+    panel.plot(*recording.world.path.T, color="#CC79A7", linewidth=0.8, linestyle=":")
+    way = recording.result.trajectory[:, 2]
+    panel.set(xlim=(-4.8, 0.3), ylim=(way.min() - 0.6, max(way.max() + 0.4, 9.8)), aspect="equal")
     panel.tick_params(labelsize=6.5)
 
 

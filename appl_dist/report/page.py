@@ -98,8 +98,9 @@ def verdicts(analysis: Analysis) -> list[str]:
             interval = sorted((sign * c.improvement_low_s, sign * c.improvement_high_s))
             bounds = f", 95 % interval {interval[0]:.1f} to {interval[1]:.1f} s" if len(g.worlds) > 1 else ""
             found.append(
-                f"{g.name}, {len(g.worlds)} worlds: {m} is {abs(c.improvement_s):.1f} s ({abs(c.improvement_percent):.0f} %) "
-                f"{word} than {base}{bounds}; significantly better in {c.better} worlds and worse in {c.worse} "
+                f"{g.name}, {len(g.worlds)} worlds: {m} is {abs(c.improvement_s):.1f} s "
+                f"({abs(c.improvement_percent):.0f} %) {word} than {base}{bounds}; "
+                f"significantly better in {c.better} worlds and worse in {c.worse} "
                 f"({c.better_fdr} and {c.worse_fdr} at a false discovery rate of 5 %); success {100 * s.success:.1f} % "
                 f"against {100 * b.success:.1f} %."
             )
@@ -190,7 +191,8 @@ def _failures(data: ReportData) -> Iterable[str]:
     more = "" if len(rows) == len(failed) else f" The first {len(rows)} are listed; trials.csv has all."
     yield f"<p>{len(failed):,} trials did not reach the goal.{more} Each can be driven again by its command.</p>"
     headings = ("trial", "outcome", "time, s", "distance, m", "collisions", "least clearance, m", "replay")
-    yield f"<details><summary>List of failures</summary>{_table('Failures', headings, rows, words=2, last_words=1)}</details>"
+    table = _table("Failures", headings, rows, words=2, last_words=1)
+    yield f"<details><summary>List of failures</summary>{table}</details>"
 
 
 def _replayed(replays: Replays) -> str:

@@ -133,7 +133,7 @@ def replay_pictures(data: ReportData, open_env: OpenEnv) -> Replays:
             "paths_speed",
             "Ways through an easy, a middling and a difficult world, coloured by speed; circle: start, star: goal "
             "reached, cross: not reached.",
-            maps.map_figure([found[k] for k in examples], columns=len(examples) // len(EXAMPLES) or 1),
+            maps.map_figure([found[k] for k in examples]),
         )
     ]
     moving = [found[k] for k in examples if len(np.unique(found[k].result.parameters[:, 0])) > 1]
@@ -157,14 +157,14 @@ def replay_pictures(data: ReportData, open_env: OpenEnv) -> Replays:
             Picture(
                 "failures",
                 "Trials that failed, coloured by speed.",
-                maps.map_figure([found[k] for k in failures], columns=3),
+                maps.map_figure([found[k] for k in failures]),
             )
         )
     films = tuple(
         Film(
             f"film_{slug(trial_name(found[k].trial))}",
             _caption(found[k].trial),
-            gif_bytes(found[k], every=3, scale=0.75),
+            gif_bytes(found[k], frames=60, scale=0.65),
         )
         for k in dict.fromkeys([subject, *failures[:FILMS_SHOWN]])
     )
