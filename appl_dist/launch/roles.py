@@ -17,13 +17,11 @@ import numpy as np
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.main import Explorer, act, actor_seed
-from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.spool import Spool, SpoolInUse
-from appl_dist.config import ActorSettings, Settings, as_dict, cores, from_dict
+from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts, worlds_of
-from appl_dist.launch.view import make_console
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -122,7 +120,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         minutes=settings.run.minutes,
         config=as_dict(settings),
         space=SPACES[settings.env.space],
-        failed_time_s=PROTOCOLS[settings.protocol].failed_time_s,
+        failed_time_s=settings.protocol.failed_time_s,
         sigma=lambda n: settings.explore.sigma(n, settings.run.transitions),
     )
     return Learner(bus, run, settings.learner)
@@ -205,7 +203,7 @@ def act_in_run(
     actor_id = spool.owner.rpartition("/")[2]
     env = NavigationEnv(
         worlds_of(settings, settings.world.train),
-        protocol=PROTOCOLS[settings.protocol],
+        protocol=settings.protocol,
         **environment_arguments(settings),
     )
     uploader = Uploader(bus, run_id, actor_id, spool)
@@ -251,22 +249,3 @@ class Patience:
         if self._present():
             self._seen_s = now_s
         return now_s - self._seen_s > self._limit_s
-
-
-def evaluate(settings: Settings) -> int:
-    """Compare the configured methods; prints the tables and writes the results."""
-    from appl_dist.evaluate.main import evaluate as run
-
-    folder = settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S")
-    run(
-        list(settings.evaluation.methods.items()),
-        worlds_of(settings, settings.evaluation.worlds),
-        settings.evaluation.trials,
-        folder,
-        protocol=settings.protocol,
-        environment=environment_arguments(settings),
-        workers=settings.evaluation.workers or cores(),
-        seed=settings.run.seed,
-        console=make_console(),
-    )
-    return 0
