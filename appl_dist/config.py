@@ -104,13 +104,15 @@ class ActorSettings:
 class EvaluationSettings:
     """methods: policies by label; a policy is "default", a policy file, "set:name=value,…" or a published set.
 
-    worlds: a split, as in `world`. workers: 0 takes one per core.
+    worlds: a split, as in `world`. workers: 0 takes one per core. spread: instead hand the trials to the actors that
+    connect to wire.endpoint, on this machine or others.
     """
 
     methods: dict[str, str] = field(default_factory=dict)
     worlds: str = "test"
     trials: int = 10
     workers: int = 0
+    spread: bool = False
     folder: str = ""
 
 

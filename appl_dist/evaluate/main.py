@@ -26,6 +26,7 @@ from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, make_methods
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import TRIALS_FILE, Trial, make_jobs, run_jobs
+from appl_dist.evaluate.workers import Crew
 from appl_dist.files import write_atomic
 from appl_dist.sim.worlds import World
 
@@ -53,7 +54,7 @@ def evaluate(
     protocol: str | Protocol = "appl",
     environment: Mapping[str, Any] | None = None,
     groups: Mapping[str, Sequence[int]] | None = None,
-    workers: int = 1,
+    workers: int | Crew = 1,
     seed: int = 0,
     settings: Mapping[str, Any] | None = None,
     console: Console | None = None,
@@ -63,11 +64,11 @@ def evaluate(
     methods: (label, policy specification); the labels "default" and "fixed" mark the baselines every
     table compares with. environment: further arguments of `NavigationEnv` (timing, planner …). groups:
     world indices by name of the group reported together (all: one group). workers: processes, 0 for
-    none. settings: the configuration this comes from, kept for replays. Raises UserError.
+    none, or a crew elsewhere. settings: the configuration this comes from, kept for replays. Raises UserError.
     """
     if trials_per_world < 1:
         raise UserError(f"trials: got {trials_per_world}; allowed 1 or more a world")
-    if workers < 0:
+    if isinstance(workers, int) and workers < 0:
         raise UserError(f"workers: got {workers}; allowed 0 (in this process) or more")
     rules = _protocol(protocol)
     checked = make_methods(methods, (environment or {}).get("space"))
@@ -84,7 +85,7 @@ def evaluate(
             log.info("%s: %d of %d trials are there already", folder, old, len(jobs))
         session: dict[str, Any] = {}
         if old < len(jobs):
-            session = _begin(workers)
+            session = _begin()
             head = replace(head, sessions=(*head.sessions, session))
             save_head(folder, head)  # before the first trial: a killed evaluation, too, says where it ran
         driven: list[Trial] = []
@@ -99,7 +100,8 @@ def evaluate(
                 trials = run_jobs(jobs, runner, workers=workers, log=trial_log, on_trial=note)
         finally:
             if session:
-                session |= _speed(driven, time.monotonic() - started)
+                count = max(1, workers) if isinstance(workers, int) else len(workers)
+                session |= {"workers": count, **_speed(driven, time.monotonic() - started)}
                 save_head(folder, head)
     labels = [m.label for m in checked]
     analysis = analyse(trials, labels, chosen, limit_s=rules.limit_s, failed_time_s=rules.failed_time_s, seed=seed)
@@ -117,10 +119,10 @@ def speed_line(session: Mapping[str, Any]) -> str:
     )
 
 
-def _begin(workers: int) -> dict[str, Any]:
+def _begin() -> dict[str, Any]:
     return {
         "begun": datetime.now(UTC).isoformat(timespec="seconds"),
-        "workers": max(1, workers),
+        "workers": 0,
         "machine": provenance.machine(),
         "code": provenance.code(),
         **_speed((), 1.0),

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.evaluate.trial_log import TrialLog
-from appl_dist.evaluate.workers import run_parallel
+from appl_dist.evaluate.workers import Crew, run_parallel
 
 TRIALS_FILE = "trials.csv"
 OUTCOMES = ("goal", "timeout", "collision", "rollover")
@@ -151,23 +151,25 @@ def run_jobs(
     jobs: Sequence[Job],
     make_runner: Callable[[], Runner],
     *,
-    workers: int = 1,
+    workers: int | Crew = 1,
     log: TrialLog | None = None,
     on_trial: Callable[[Trial], None] | None = None,
 ) -> list[Trial]:
     """Run the jobs that `log` does not hold yet; return the trials of all, in the order of `jobs`.
 
     `make_runner` is called once in each of `workers` spawned processes (0: in this process), so it must
-    pickle. `on_trial` is called in this process for each trial that is run, in order of completion. Raises
-    UserError for bad input or a full disk, RuntimeError with the worker's traceback for a fault in a runner;
-    whatever ends it, the log holds every finished trial and no worker is left.
+    pickle; or `workers` is a crew of another kind. `on_trial` is called in this process for each trial that
+    is run, in order of completion. Raises UserError for bad input or a full disk, RuntimeError with the
+    worker's traceback for a fault in a runner; whatever ends it, the log holds every finished trial and no
+    worker is left.
     """
     done: dict[tuple[str, int, int], Trial] = {}
     if log is not None:
         logged = log.matching(jobs)
         done = {job.key: logged[job.key] for job in jobs if job.key in logged}
     todo = [job for job in jobs if job.key not in done]
-    with closing(run_parallel(todo, make_runner, workers)) as results:
+    crew = run_parallel(todo, make_runner, workers) if isinstance(workers, int) else workers(todo, make_runner)
+    with closing(crew) as results:
         for trial in results:
             done[trial.key] = trial
             if log is not None:

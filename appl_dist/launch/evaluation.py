@@ -13,6 +13,7 @@ from rich.console import Console
 
 from appl_dist.actor.worldset import select_worlds, split_groups
 from appl_dist.config import Settings, as_dict, cores
+from appl_dist.evaluate.workers import Crew
 from appl_dist.launch.replay import open_env
 from appl_dist.launch.roles import environment_arguments
 from appl_dist.launch.view import make_console
@@ -40,23 +41,38 @@ def evaluate_methods(
 
     world = settings.world
     worlds = select_worlds(world.path, world.count, world.seed, settings.evaluation.worlds)
-    run_evaluation(
-        methods,
-        worlds,
-        settings.evaluation.trials,
-        folder,
-        protocol=settings.protocol,
-        environment=environment_arguments(settings),
-        groups=split_groups(world.path, [w.index for w in worlds]),
-        workers=settings.evaluation.workers or cores(),
-        seed=settings.run.seed,
-        settings=as_dict(settings),
-        console=console,
-    )
+    with _workers(settings, folder) as workers:
+        run_evaluation(
+            methods,
+            worlds,
+            settings.evaluation.trials,
+            folder,
+            protocol=settings.protocol,
+            environment=environment_arguments(settings),
+            groups=split_groups(world.path, [w.index for w in worlds]),
+            workers=workers,
+            seed=settings.run.seed,
+            settings=as_dict(settings),
+            console=console,
+        )
     from appl_dist.report.main import print_tables, write_report
 
     report = write_report([run or folder], folder, open_env)
     print_tables(report, console)
+
+
+@contextmanager
+def _workers(settings: Settings, folder: Path) -> Iterator[int | Crew]:
+    """Processes of this machine, or whatever actors come to the endpoint."""
+    if not settings.evaluation.spread:
+        yield settings.evaluation.workers or cores()
+        return
+    from appl_dist.launch.spread import SpreadCrew
+    from appl_dist.wire.session import open_session
+
+    with open_session(settings.wire, listen=True) as session:
+        log.info("trials wait for actors: appl-dist actors wire.endpoint=%s", settings.wire.endpoint)
+        yield SpreadCrew(session, f"{folder.resolve().name}-{session.identity[:8]}", settings)
 
 
 @contextmanager

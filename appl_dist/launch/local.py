@@ -109,7 +109,7 @@ def _watch(
             except UserError:
                 continue  # starting, or restarting
             if live:
-                live.update(view.render(status, notes))
+                live.update(view.render(status, notes, "Ctrl-C stops, resumable"))
             elif time.monotonic() >= next_line:
                 next_line = time.monotonic() + LOG_LINE_S
                 print(view.line(status), flush=True)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+EVALUATION = "evaluation_of"  # in what is served to actors: no training run, but trials under these settings
 DRAIN_S = 5.0  # an actor's last rollouts
 MAX_ACTORS = 10_000
 LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not started yet
@@ -142,6 +143,11 @@ def actor(settings: Settings) -> int:
     with open_session(wire, listen=False, identity=identity) as session:
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
         stop = stop_event()  # until here there is nothing to end in order
+        if EVALUATION in served:
+            from appl_dist.launch.spread import drive_trials
+
+            drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
+            return 0
         frozen = from_dict(served)
         with open_spool(own, frozen.actor, run_id, identity) as spool:
             act_in_run(frozen, session, run_id, spool, stop.is_set)
