@@ -15,7 +15,7 @@ from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import DWA, OBSERVATION_SIZE
 from tests.integration.test_train import free_port
 
-EVALUATION = ("world.count=6", "evaluation.worlds=0:4", "evaluation.trials=3", "evaluation.workers=1")
+EVALUATION = ("world.count=6", "evaluation.worlds=0:3", "evaluation.trials=2", "evaluation.workers=1")
 
 
 def start(*arguments: str, folder: Path, log: str) -> subprocess.Popen[bytes]:
@@ -42,18 +42,18 @@ def test_actors_elsewhere_drive_the_same_trials_each_once_though_one_is_killed(t
     ]
     try:
         deadline = time.monotonic() + 300.0
-        while len(rows(tmp_path / "spread" / "trials.csv")) < 4 and time.monotonic() < deadline:
+        while len(rows(tmp_path / "spread" / "trials.csv")) < 3 and time.monotonic() < deadline:
             time.sleep(0.1)
         actors[0].kill()
-        assert evaluator.wait(300) == 0, (tmp_path / "spread.log").read_text()
+        assert evaluator.wait(600) == 0, (tmp_path / "spread.log").read_text()
         assert actors[1].wait(60) == 0, (tmp_path / "1.log").read_text()
-        assert here.wait(300) == 0, (tmp_path / "here.log").read_text()
+        assert here.wait(600) == 0, (tmp_path / "here.log").read_text()
     finally:
         for process in (here, evaluator, *actors):
             process.kill()
             process.wait()
     ours, theirs = (sorted(rows(tmp_path / f / "trials.csv"), key=str) for f in ("here", "spread"))
-    assert len(theirs) == 2 * 4 * 3
+    assert len(theirs) == 2 * 3 * 2
     assert ours == theirs  # every field, the digest of the trajectory among them
 
 
