@@ -106,7 +106,7 @@ def transitions(status: str) -> int:
 def test_compose_runs_scales_survives_and_stops(compose: Compose) -> None:
     size = int(docker("image", "inspect", "--format", "{{.Size}}", "appl-dist-actor")) / 1e6
     assert size < ACTOR_MB
-    compose("up", "-d", "--no-build", "--scale", "actor=3")
+    compose("up", "-d", "--no-build", "--scale", "actor=3", timeout_s=WAIT_S)
     services = ("learner", "actor", "tensorboard")
     compose.wait(lambda: all(healthy(compose.containers(s)) for s in services), "all to be healthy")
     actors = compose.containers("actor")
