@@ -51,7 +51,7 @@ class Fleet:
 
     def status(self, *arguments: str) -> tuple[int, str]:
         command = [sys.executable, "-m", "appl_dist", "status", f"actor.run={self.run}", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
         return done.returncode, done.stdout + done.stderr
 
     def names(self) -> list[str]:
@@ -113,7 +113,7 @@ def test_actors_follow_a_learner_that_moves_join_leave_and_end_with_the_run(flee
     assert fleet.status("--here")[0] == 0
 
     first.send_signal(signal.SIGUSR1)
-    assert first.wait(60) == 0, fleet.log(first)
+    assert first.wait(180) == 0, fleet.log(first)
     assert far.poll() is None
     code, words = fleet.status()
     assert code == 2
@@ -135,18 +135,18 @@ def test_actors_follow_a_learner_that_moves_join_leave_and_end_with_the_run(flee
     fleet.wait(lambda: fleet.names() == everyone, "two to join, one to return")
     assert "far-0 died with status -9" in fleet.log(far)
     joined.send_signal(signal.SIGTERM)
-    assert joined.wait(60) == 0, fleet.log(joined)
+    assert joined.wait(180) == 0, fleet.log(joined)
     fleet.wait(lambda: len(fleet.names()) == 3, "one to leave")
 
     second.send_signal(signal.SIGTERM)
-    assert second.wait(60) == 0, fleet.log(second)
-    assert far.wait(60) == 0, fleet.log(far)
-    assert other.wait(60) == 0, fleet.log(other)
+    assert second.wait(180) == 0, fleet.log(second)
+    assert far.wait(180) == 0, fleet.log(far)
+    assert other.wait(180) == 0, fleet.log(other)
     ledger = run_ledger(fleet.run)
     assert ledger.agrees, ledger.sentence()
     assert sorted(ledger.accounts) == everyone
     late = fleet.start("actors", "actors=2", f"actor.run={fleet.run}", "actor.id=late")
-    assert late.wait(60) == 0
+    assert late.wait(180) == 0
     assert "the run has ended" in fleet.log(late)
 
 
