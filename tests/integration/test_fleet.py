@@ -70,7 +70,7 @@ class Fleet:
         target = self.transitions() + more
         self.wait(lambda: self.transitions() >= target, f"{target} transitions")
 
-    def wait(self, what: Callable[[], object], name: str, timeout_s: float = 120.0) -> None:
+    def wait(self, what: Callable[[], object], name: str, timeout_s: float = 300.0) -> None:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             if what():
