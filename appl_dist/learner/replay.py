@@ -13,9 +13,10 @@ the ring has overwritten.
 
 from __future__ import annotations
 
+import json
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,19 @@ class Batch:
     returns: FloatArray
     discounts: FloatArray
     next_observations: FloatArray
+
+
+@dataclass(frozen=True)
+class Stored:
+    """One rollout as replay holds it, without its scans: other (n + 1, k) of the observations, actions (n, a),
+    rewards (n,).
+    """
+
+    actor: str
+    seq: int
+    other: FloatArray
+    actions: FloatArray
+    rewards: FloatArray
 
 
 class Replay:
@@ -124,6 +138,17 @@ class Replay:
         if self._claim is not None:
             self._claim.complete()
 
+    @classmethod
+    def reopen(cls, folder: str | Path) -> Replay:
+        """The replay in `folder` with the sizes it was made with, to look at what it holds. UserError: none there."""
+        try:
+            meta = json.loads((Path(folder) / "meta.json").read_text())
+            names = ("capacity", "observation_size", "scan_size", "action_size", "scan_dtype")
+            sizes = {name: meta[name] for name in names}
+        except (OSError, ValueError, TypeError, KeyError) as e:
+            raise UserError(f"replay folder {folder}: meta.json cannot be read: {e}") from None
+        return cls(folder, n_step=1, gamma=1.0, **sizes)
+
     # ---- what is in it
 
     def __len__(self) -> int:
@@ -152,6 +177,18 @@ class Replay:
     def ledger(self) -> dict[str, int]:
         """Every actor's expected sequence number, for a checkpoint."""
         return dict(self._expected)
+
+    def rollouts(self) -> Iterator[Stored]:
+        """Every rollout it still holds, oldest first."""
+        evicted, inserted = int(self._header.data["evicted"][0]), self.rollouts_total
+        names = {slot: name for name, slot in self._slots.items()}
+        for number in range(evicted, inserted):
+            entry = self._index.data[number % len(self._index.data)]
+            n, start = int(entry["length"]), int(entry["start"]) % self._rows_count
+            rows = self._rows.data[start : start + n + 1]
+            yield Stored(
+                names[int(entry["actor"])], int(entry["seq"]), rows["other"], rows["action"][:n], rows["reward"][:n]
+            )
 
     def resume(self, ledger: Mapping[str, int], transitions_total: int) -> None:
         """Take up the counts of an earlier replay whose rows are gone (it was in memory).
