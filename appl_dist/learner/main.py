@@ -139,7 +139,12 @@ class Learner:
         self.save()
         self.checkpoints.wait()
         self._report()
-        log.info("ended at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+        counts, refused = self.server.counts, self.server.refused()
+        log.info(
+            "ended at %d transitions, %d updates; this process stored %d rollouts, answered %d repeats, refused %d%s",
+            self.replay.transitions_total, self.td3.updates, counts["stored"], counts["duplicate"], counts["refused"],
+            f" (most of {', '.join(refused)})" if refused else "",
+        )  # fmt: skip
 
     def save(self) -> None:
         """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
