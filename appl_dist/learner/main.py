@@ -214,7 +214,11 @@ class Learner:
     def _publish(self) -> None:
         self.version += 1
         self.statistics.current = (self.epoch, self.version)
-        self.publisher.publish(self.epoch, self.version, self._policy().to_bytes())
+        try:
+            blob = self._policy().to_bytes(half=True)
+        except ValueError as error:  # a weight that is not finite, or beyond float16
+            raise Diverged(str(error)) from None
+        self.publisher.publish(self.epoch, self.version, blob)
 
     def _report(self) -> None:
         self._rates.mark(self.replay.transitions_total, self.td3.updates)
