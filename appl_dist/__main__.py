@@ -13,13 +13,15 @@ ROLES = {
     "train": "run a learner and its actors on this machine, then evaluate the policy",
     "learner": "run only the learner; actors anywhere connect to wire.endpoint",
     "actor": "run one actor: appl-dist actor wire.endpoint=tcp/HOST:7447",
+    "actors": "run several, supervised: appl-dist actors actors=16 actor.run=RUN (or wire.endpoint=…)",
+    "launch": "run on a cluster: appl-dist launch launch=slurm launch.actors=500",
+    "status": "ask a run how it is: appl-dist status wire.endpoint=… (--here: and its actors on this host)",
     "evaluate": "compare policies on worlds: appl-dist evaluate +evaluation.methods.mine=FILE",
     "keys": "make certificates and passwords for a run on several machines: appl-dist keys FOLDER",
     "ledger": "compare what actors sent with what is in replay: appl-dist ledger RUN [SPOOL_FOLDER …]",
     "worlds": "check, generate, count or draw BARN worlds",
     "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE…",
 }
-CONFIGURED = ("train", "learner", "actor", "evaluate")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -68,6 +70,10 @@ def _run(role: str, rest: list[str]) -> int:
         return 0
     from appl_dist.config import load
 
+    if role == "status":
+        from appl_dist.launch.status import HERE, status
+
+        return status(load([a for a in rest if a != HERE]), here=HERE in rest)
     settings = load(rest)
     run: Callable[..., int]
     if role == "train":
@@ -76,6 +82,10 @@ def _run(role: str, rest: list[str]) -> int:
         from appl_dist.launch.roles import learner as run
     elif role == "actor":
         from appl_dist.launch.roles import actor as run
+    elif role == "actors":
+        from appl_dist.launch.fleet import actors as run
+    elif role == "launch":
+        from appl_dist.launch.cluster import launch as run
     else:
         from appl_dist.launch.roles import evaluate as run
     return run(settings)

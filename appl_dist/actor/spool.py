@@ -34,12 +34,16 @@ _SUFFIX = ".rollout"
 _CRC = struct.Struct("<I")
 
 
+class SpoolInUse(UserError):
+    """A running process has the folder."""
+
+
 class Spool:
     """A durable bounded queue of blobs numbered 0, 1, 2, …; first in, first out.
 
     owner: whose rollouts these are, such as "RUN/ACTOR"; a folder of another owner is refused.
     receipt: what the log notes of a blob.
-    UserError: folder taken by a running process, of another owner, not writable or out of space.
+    UserError: folder taken by a running process (SpoolInUse), of another owner, not writable or out of space.
     """
 
     def __init__(
@@ -284,7 +288,7 @@ def _lock(folder: Path) -> int:
     except BlockingIOError as error:
         holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
-        raise UserError(
+        raise SpoolInUse(
             f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
         ) from error
     os.truncate(descriptor, 0)

@@ -99,18 +99,25 @@ class Learner:
         self.roster = Roster(bus, run.run_id)
         self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
         self.control = ControlServer(
-            bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=lambda: self._status
+            bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=self._status_told
         )
 
-    def run(self, stop: Callable[[], bool]) -> None:
+    def run(self, stop: Callable[[], bool], leave: Callable[[], bool] = lambda: False) -> None:
         """Train until the run's transitions or minutes are reached, or `stop()`; then stop all actors.
+
+        After `leave()` only keep what a successor needs: the actors go on and wait for it.
 
         Raises UserError, naming the last good checkpoint, if training diverges.
         """
-        while not stop() and not self.finished:
+        while not stop() and not leave() and not self.finished:
             if not self.step():
                 time.sleep(IDLE_S)
-        self.end()
+        if leave():
+            self.save()
+            self.checkpoints.wait()
+            log.info("left at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+        else:
+            self.end()
 
     def step(self) -> bool:
         """One update if the limiter allows it, and whatever else is due; whether there was an update."""
@@ -177,7 +184,7 @@ class Learner:
         found = self.checkpoints.load(self.td3, self.rng)
         if found is not None:
             self.version = int(found["version"])
-            self._started -= float(found["elapsed_s"])
+            self._started -= float(found.get("elapsed_s", 0.0))  # `minutes` are the run's, not this process's
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
         write_atomic(file, json.dumps({"epoch": epoch}))
         return int(epoch)
@@ -234,6 +241,10 @@ class Learner:
             for k, v in numbers.items()
         }
 
+    def _status_told(self) -> dict[str, Any]:
+        """The last status, with its age: a learner that hangs still answers, from the wire's thread."""
+        return {**self._status, "age_s": time.monotonic() - self._started - self._status["elapsed_s"]}
+
     def _status_now(self) -> dict[str, Any]:
         """What the terminal view, the metrics file and TensorBoard show."""
         transitions = self.replay.transitions_total
@@ -249,6 +260,7 @@ class Learner:
                             "version": m.progress.get("policy_version", -1),
                             "pending": m.progress.get("pending", 0),
                             "silent_s": m.silent_s,
+                            "host": str(m.progress.get("host", "")),
                         }
                     )
         return {
