@@ -63,6 +63,23 @@ def test_a_learner_killed_and_restarted_from_its_files(cluster: Cluster) -> None
     settle(cluster, "learner killed -9, restarted from its files", recovered_s)
 
 
+def test_a_learner_killed_five_times_still_learns(cluster: Cluster) -> None:
+    """The long version, with curves, is benchmarks/recovery.py."""
+    cluster.start_actor("a0")
+    cluster.wait_for(lambda: cluster.steps() > 80, "enough to learn from")
+    for _ in range(5):
+        cluster.wait_for_more(5)
+        cluster.kill("learner")
+        cluster.start_learner()
+    settle(cluster, "learner killed -9 five times", cluster.wait_for_more())
+    lines = [json.loads(line) for line in (cluster.run / "metrics.jsonl").read_text().splitlines()]
+    assert json.loads((cluster.run / "epoch.json").read_text())["epoch"] == 6
+    # Updates lost with a killed process are made again: at the end as many as the limiter allows for this much data.
+    last = lines[-1]
+    due = 64.0 * (last["step"] - 60) / 256.0
+    assert 0.5 * due <= last["rate/updates"] <= due + 1100.0 * 64.0 / 256.0
+
+
 def test_everything_killed_and_restarted(cluster: Cluster) -> None:
     for _ in range(2):
         cluster.start_actor("a0")
