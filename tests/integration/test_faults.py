@@ -21,9 +21,11 @@ FREEZE_S, CUT_S = 15.0, 20.0
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
     cluster = Cluster(tmp_path)
-    cluster.start_learner()
-    yield cluster
-    cluster.close()
+    try:
+        cluster.begin()
+        yield cluster
+    finally:
+        cluster.close()
 
 
 def settle(cluster: Cluster, fault: str, recovered_s: float) -> None:
@@ -110,7 +112,7 @@ def test_long_silences(tmp_path: Path) -> None:
     clusters = {fault: Cluster(tmp_path / str(i)) for i, fault in enumerate(faults)}
     try:
         for cluster in clusters.values():
-            cluster.start_learner()
+            cluster.begin()
             cluster.start_actor("a0")
         for cluster in clusters.values():
             cluster.wait_for(lambda c=cluster: c.steps() > 20, "the first transitions")  # type: ignore[misc]
@@ -165,7 +167,7 @@ def test_an_actor_of_another_version_and_one_of_another_run_are_refused(cluster:
 def test_a_full_spool_holds_the_actor_back_and_drains_in_order(tmp_path: Path) -> None:
     cluster = Cluster(tmp_path, "actor.spool_rollouts=3")
     try:
-        cluster.start_learner()
+        cluster.begin()
         cluster.start_actor("a0")
         cluster.wait_for_more()
         cluster.kill("learner")
@@ -197,7 +199,7 @@ def test_secrets_are_in_no_log_process_list_or_run_folder(tmp_path: Path, securi
     wire = (f"wire={security}", f"wire.keys={keys}")
     cluster = Cluster(tmp_path / "c", *wire, actor=wire, tls=security == "tls")
     try:
-        cluster.start_learner()
+        cluster.begin()
         cluster.start_actor("actor-7")
         cluster.wait_for_more()
         seen = "".join(

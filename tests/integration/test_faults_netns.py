@@ -46,7 +46,7 @@ def namespace() -> Iterator[str]:
 def test_a_network_interface_down_for_longer_than_the_lease(namespace: str, tmp_path: Path) -> None:
     cluster = Cluster(tmp_path, host=HERE, prefix=("ip", "netns", "exec", namespace))
     try:
-        cluster.start_learner()
+        cluster.begin()
         cluster.start_actor("a0")
         cluster.wait_for_more(20)
         ip("-n", namespace, "link", "set", namespace, "down")
