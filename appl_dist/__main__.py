@@ -17,6 +17,8 @@ ROLES = {
     "launch": "run on a cluster: appl-dist launch launch=slurm launch.actors=500",
     "status": "ask a run how it is: appl-dist status wire.endpoint=… (--here: and its actors on this host)",
     "evaluate": "compare policies on worlds: appl-dist evaluate +evaluation.methods.mine=FILE",
+    "replay": "drive trials of an evaluation again, film them: appl-dist replay FOLDER METHOD/WORLD/TRIAL --film t.gif",
+    "report": "one page, tables and figures of evaluations: appl-dist report FOLDER…",
     "keys": "make certificates and passwords for a run on several machines: appl-dist keys FOLDER",
     "ledger": "compare what actors sent with what is in replay: appl-dist ledger RUN [SPOOL_FOLDER …]",
     "worlds": "check, generate, count or draw BARN worlds",
@@ -52,6 +54,14 @@ def _run(role: str, rest: list[str]) -> int:
         from appl_dist.sim.cli import worlds_main
 
         return worlds_main(rest)
+    if role == "replay":
+        from appl_dist.launch.replay import replay_main
+
+        return replay_main(rest)
+    if role == "report":
+        from appl_dist.launch.replay import report_main
+
+        return report_main(rest)
     if role == "conformance":
         from appl_dist.planner.conformance import main as conformance
 
@@ -87,7 +97,7 @@ def _run(role: str, rest: list[str]) -> int:
     elif role == "launch":
         from appl_dist.launch.cluster import launch as run
     else:
-        from appl_dist.launch.roles import evaluate as run
+        from appl_dist.launch.evaluation import evaluate as run
     return run(settings)
 
 

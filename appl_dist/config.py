@@ -26,7 +26,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from appl_dist.actor.exploration import ExplorationSettings
-from appl_dist.actor.protocol import PROTOCOLS
+from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.reward import RewardSettings
 from appl_dist.actor.timing import TimingSettings
 from appl_dist.errors import UserError
@@ -104,13 +104,15 @@ class ActorSettings:
 class EvaluationSettings:
     """methods: policies by label; a policy is "default", a policy file, "set:name=value,…" or a published set.
 
-    worlds: a split, as in `world`. workers: 0 takes one per core.
+    worlds: a split, as in `world`. workers: 0 takes one per core. spread: instead hand the trials to the actors that
+    connect to wire.endpoint, on this machine or others.
     """
 
     methods: dict[str, str] = field(default_factory=dict)
     worlds: str = "test"
     trials: int = 10
     workers: int = 0
+    spread: bool = False
     folder: str = ""
 
 
@@ -126,7 +128,7 @@ class Settings:
     lidar: LidarSettings
     timing: TimingSettings
     planner: PlannerSettings
-    protocol: str
+    protocol: Protocol
     env: EnvSettings
     reward: RewardSettings
     explore: ExplorationSettings
@@ -151,7 +153,6 @@ class Settings:
         if not self.evaluation.methods:
             raise ValueError("evaluation.methods: got none; expected at least one, as in +evaluation.methods.mine=FILE")
         _one_of("env.space", self.env.space, SPACES)
-        _one_of("protocol", self.protocol, PROTOCOLS)
         if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):
             raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
 
@@ -213,8 +214,14 @@ def compose_dict(overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def from_dict(plain: dict[str, Any]) -> Settings:
-    """Settings of a composed or received configuration, every field checked. Raises UserError."""
+    """Settings of a composed or received configuration, every field checked. Raises UserError.
+
+    `protocol` may also be the name of one, as in `--config=FILE protocol=challenge`.
+    """
     try:
+        if isinstance(plain.get("protocol"), str):
+            _one_of("protocol", plain["protocol"], PROTOCOLS)
+            plain = plain | {"protocol": dataclasses.asdict(PROTOCOLS[plain["protocol"]])}
         node = OmegaConf.merge(OmegaConf.structured(_schema(Settings)), plain)
         checked: Any = OmegaConf.to_container(node, resolve=True)
         return _build(Settings, checked)
@@ -289,6 +296,10 @@ def _sentence(error: BaseException) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     key = getattr(cause, "full_key", None)
     first = " ".join(line.strip() for line in str(cause).splitlines()[:1])
+    choice = re.search(r"Could not find '(\w+)/([^']*)'", first)
+    if choice:
+        allowed = ", ".join(sorted(f.stem for f in (CONF / choice[1]).glob("*.yaml")))
+        return f"{choice[1]}: got {choice[2]!r}; allowed {allowed}"
     first = re.sub(r"Could not override '([^']+)'\.?", r"\1: no such key.", first)
     first = re.sub(r"Key '[^']+' is not in struct", "no such key; `appl-dist train --help` lists them", first)
     first = re.sub(r"Ambiguous value for argument '([^']+)'", r"\1: a value with commas needs quotes: key='a,b'", first)

@@ -17,10 +17,11 @@ from rich.live import Live
 from appl_dist.config import CONFIG_FILE, Settings, cores
 from appl_dist.errors import UserError
 from appl_dist.launch import view
+from appl_dist.launch.evaluation import evaluate_methods
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import USER_ERROR, Child, stop_all
-from appl_dist.launch.roles import act_in_run, build_learner, environment_arguments, open_spool, stop_event
-from appl_dist.launch.runs import prepare, worlds_of
+from appl_dist.launch.roles import act_in_run, build_learner, open_spool, stop_event
+from appl_dist.launch.runs import prepare
 from appl_dist.wire.control import fetch_run, fetch_status
 from appl_dist.wire.credentials import VIEWER
 
@@ -108,7 +109,7 @@ def _watch(
             except UserError:
                 continue  # starting, or restarting
             if live:
-                live.update(view.render(status, notes))
+                live.update(view.render(status, notes, "Ctrl-C stops, resumable"))
             elif time.monotonic() >= next_line:
                 next_line = time.monotonic() + LOG_LINE_S
                 print(view.line(status), flush=True)
@@ -146,19 +147,8 @@ def _serial(settings: Settings) -> bool:
 
 def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
     """The final policy against the configured methods on worlds that training did not see."""
-    from appl_dist.evaluate.main import evaluate
     from appl_dist.learner.main import POLICY_FILE
 
-    evaluate(
-        [*settings.evaluation.methods.items(), ("learned", str(folder / POLICY_FILE))],
-        worlds_of(settings, settings.evaluation.worlds),
-        settings.evaluation.trials,
-        folder / "evaluation",
-        protocol=settings.protocol,
-        environment=environment_arguments(settings),
-        workers=settings.evaluation.workers or cores(),
-        seed=settings.run.seed,
-        metrics=folder / "metrics.jsonl",
-        console=console,
-    )
+    methods = [*settings.evaluation.methods.items(), ("learned", str(folder / POLICY_FILE))]
+    evaluate_methods(settings, methods, folder / "evaluation", console, run=folder)
     sys.stdout.flush()

@@ -17,13 +17,11 @@ import numpy as np
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.main import Explorer, act, actor_seed
-from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.spool import Spool, SpoolInUse
-from appl_dist.config import ActorSettings, Settings, as_dict, cores, from_dict
+from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts, worlds_of
-from appl_dist.launch.view import make_console
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -37,6 +35,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+EVALUATION = "evaluation_of"  # in what is served to actors: no training run, but trials under these settings
 DRAIN_S = 5.0  # an actor's last rollouts
 MAX_ACTORS = 10_000
 LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not started yet
@@ -122,7 +121,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         minutes=settings.run.minutes,
         config=as_dict(settings),
         space=SPACES[settings.env.space],
-        failed_time_s=PROTOCOLS[settings.protocol].failed_time_s,
+        failed_time_s=settings.protocol.failed_time_s,
         sigma=lambda n: settings.explore.sigma(n, settings.run.transitions),
     )
     return Learner(bus, run, settings.learner)
@@ -133,23 +132,41 @@ def actor(settings: Settings) -> int:
     from appl_dist.wire.session import open_session
 
     die_with_parent()
+<<<<<<< HEAD
+=======
+    own, identity = _who(settings)
+>>>>>>> deploy
     wire = settings.wire
-    if settings.actor.run:
-        where = whereabouts(Path(settings.actor.run))
+    if own.run:
+        where = whereabouts(Path(own.run))
         if where.ended:
-            log.info("the run in %s has ended", settings.actor.run)
+            log.info("the run in %s has ended", own.run)
             return 0
         wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
+<<<<<<< HEAD
     name = _name(settings)
     with open_session(wire, listen=False, identity=name) as session:
+=======
+    with open_session(wire, listen=False, identity=identity) as session:
+>>>>>>> deploy
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
         stop = stop_event()  # until here there is nothing to end in order
+        if EVALUATION in served:
+            from appl_dist.launch.spread import drive_trials
+
+            drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
+            return 0
         frozen = from_dict(served)
+<<<<<<< HEAD
         with open_spool(settings.actor, frozen.actor, run_id, name) as spool:
+=======
+        with open_spool(own, frozen.actor, run_id, identity) as spool:
+>>>>>>> deploy
             act_in_run(frozen, session, run_id, spool, stop.is_set)
     return 0
 
 
+<<<<<<< HEAD
 def _name(settings: Settings) -> str:
     """What ids of this actor begin with: its identity's name. UserError: the credentials do not cover the id given."""
     wire, wanted = settings.wire, settings.actor.id
@@ -174,6 +191,37 @@ def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str, name: str
     names = [f"{name}-{i}" for i in range(MAX_ACTORS)]
     waiting = {path.parent.name for path in root.glob(f"{name}-*/*.rollout")}
     for actor_id in sorted(names, key=lambda n: n not in waiting):
+=======
+def _who(settings: Settings) -> tuple[ActorSettings, str]:
+    """(this actor, its identity). Without an id, and a run's folder to choose it in, the actor gets one of its own.
+
+    UserError: the credentials do not cover the id.
+    """
+    wire, own = settings.wire, settings.actor
+    name = ACTOR
+    if wire.security != "none":
+        identity = find(wire.keys, wire.identity or own.id)
+        name = identity.name
+        if own.id and not identity.covers(own.id):
+            raise UserError(f"actor.id: {own.id} is not covered by identity {name}; expected {name}-…")
+    if not own.id and not own.run:
+        own = replace(own, id=f"{name}-{socket.gethostname()}-{os.getpid()}")
+    return own, name
+
+
+def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str, identity: str = ACTOR) -> Spool:
+    """The spool of the actor that `own` describes, as large as `limits` says; its owner's name is the actor's id.
+
+    Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has.
+    """
+    root = Path(own.run) / "spool" if own.run else Path("spool") / run_id
+    if own.id:
+        return _spool(Path(own.spool or root / own.id), own.id, limits, run_id)
+    # Where a dead actor's rollouts wait comes first, so that they are sent by whoever takes its place.
+    names = [f"{identity}-{i}" for i in range(MAX_ACTORS)]
+    waiting = {path.parent.name for path in root.glob(f"{identity}-*/*.rollout")}
+    for name in sorted(names, key=lambda n: n not in waiting):
+>>>>>>> deploy
         try:
             return _spool(root / actor_id, actor_id, limits, run_id)
         except SpoolInUse:
@@ -200,7 +248,7 @@ def act_in_run(
     actor_id = spool.owner.rpartition("/")[2]
     env = NavigationEnv(
         worlds_of(settings, settings.world.train),
-        protocol=PROTOCOLS[settings.protocol],
+        protocol=settings.protocol,
         **environment_arguments(settings),
     )
     uploader = Uploader(bus, run_id, actor_id, spool)
@@ -246,6 +294,7 @@ class Patience:
         if self._present():
             self._seen_s = now_s
         return now_s - self._seen_s > self._limit_s
+<<<<<<< HEAD
 
 
 def evaluate(settings: Settings) -> int:
@@ -265,3 +314,5 @@ def evaluate(settings: Settings) -> int:
         console=make_console(),
     )
     return 0
+=======
+>>>>>>> deploy

@@ -13,6 +13,7 @@ from appl_dist.config import CONFIG_FILE, Settings, as_dict, load
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.sim.worlds import World
+from appl_dist.wire.keys import is_name
 
 LEARNER_FILE = "learner.json"
 _EVERYWHERE = ("0.0.0.0", "[::]")
@@ -34,6 +35,11 @@ def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Pa
     its length, the wire and where it runs. (`run.resume` has its configuration from `config.load`.)
     """
     folder = run_folder(settings)
+    if not is_name(folder.resolve().name):  # it is the run's id on the wire
+        raise UserError(
+            f"run.folder: got {folder}; its last part names the run: allowed 1..64 of A-Z a-z 0-9 _ . - "
+            "(letter or digit first)"
+        )
     exists = (folder / CONFIG_FILE).exists()
     if or_continue and exists:
         frozen = load([f"run.resume={folder}"])

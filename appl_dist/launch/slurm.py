@@ -11,8 +11,10 @@ import sys
 from pathlib import Path
 
 from appl_dist.config import CONFIG_FILE, Settings
+from appl_dist.errors import UserError
 from appl_dist.launch.runs import LEARNER_FILE
 from appl_dist.launch.settings import LaunchSettings
+from appl_dist.wire.credentials import ACTOR
 
 _AGAIN = """\
 # SIGUSR1 comes {signal_s} s before the time limit: {what}, and queue again.
@@ -50,7 +52,12 @@ def tasks(settings: LaunchSettings) -> int:
 
 
 def scripts(settings: Settings, folder: Path, cwd: Path) -> list[tuple[str, str]]:
-    """(file name, text) of the learner's script and of the actors', in the order to submit them."""
+    """(file name, text) of the learner's script and of the actors', in the order to submit them.
+
+    UserError: a folder whose name sbatch would not take in its options.
+    """
+    if any(c.isspace() or c in "%\\'\"" for c in str(folder)):
+        raise UserError(f"run.folder: got {folder}; sbatch takes no spaces, quotes, backslashes or % in it")
     return [("learner.sbatch", _learner(settings, folder, cwd)), ("actors.sbatch", _actors(settings, folder, cwd))]
 
 
@@ -97,7 +104,7 @@ def _actors(settings: Settings, folder: Path, cwd: Path) -> str:
         folder,
         cwd,
         f"actors --config={_q(folder / CONFIG_FILE)} actor.run={_q(folder)} "
-        "actor.id=task-$SLURM_ARRAY_TASK_ID actors=$count",
+        f"actor.id={settings.wire.identity or ACTOR}-$SLURM_ARRAY_TASK_ID actors=$count",
     )
     return _script(
         f"{folder.name}-actors",

@@ -18,8 +18,8 @@ def make_console() -> Console:
     return Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH)
 
 
-def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
-    """A panel for one status of the learner (see learner/main.py); `notes` are lines of the launcher."""
+def render(status: dict[str, Any] | None, notes: list[str], hint: str = "") -> RenderableType:
+    """A panel for one status of the learner (learner/main.py). notes: lines of the launcher; hint: its foot."""
     if status is None:
         return Panel("waiting for the learner …", title="appl-dist train")
     progress = Table.grid(padding=(0, 2), expand=True)
@@ -58,7 +58,7 @@ def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
         senders = ", ".join(f"{sender} ({n:,})" for sender, n in list(status["refused"].items())[:3])
         rows.append(f"[yellow]refused messages of {senders}[/yellow]")
     rows += [f"[yellow]{note}[/yellow]" for note in notes[-3:]]
-    return Panel(Group(*rows), title=f"appl-dist train · {status['run_id']}", subtitle="Ctrl-C stops, resumable")
+    return Panel(Group(*rows), title=f"appl-dist · {status['run_id']}", subtitle=hint)
 
 
 def line(status: dict[str, Any]) -> str:

@@ -184,7 +184,7 @@ class Learner:
         found = self.checkpoints.load(self.td3, self.rng)
         if found is not None:
             self.version = int(found["version"])
-            self._started -= float(found.get("elapsed_s", 0.0))  # `minutes` are the run's, not this process's
+            self._started -= float(found["elapsed_s"])
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
         write_atomic(file, json.dumps({"epoch": epoch}))
         return int(epoch)
@@ -243,7 +243,7 @@ class Learner:
 
     def _status_told(self) -> dict[str, Any]:
         """The last status, with its age: a learner that hangs still answers, from the wire's thread."""
-        return {**self._status, "age_s": time.monotonic() - self._started - self._status["elapsed_s"]}
+        return {**self._status, "age_s": self._elapsed_s() - self._status["elapsed_s"]}
 
     def _status_now(self) -> dict[str, Any]:
         """What the terminal view, the metrics file and TensorBoard show."""

@@ -14,6 +14,7 @@ from appl_dist.wire.codec import MAX_HEADER_BYTES, MAX_ROLLOUT_BYTES
 from appl_dist.wire.credentials import LEARNER, VIEWER
 from appl_dist.wire.keys import ANY
 from appl_dist.wire.liveness import MAX_PROGRESS_BYTES
+from appl_dist.wire.work import MAX_RESULT_BYTES
 
 # What actors and viewers may ask of the learner, and be told by it unasked.
 ASKED = (keys.RUN, keys.weights(ANY), keys.state(ANY), keys.status(ANY))
@@ -24,7 +25,7 @@ _LEARNER_TOKEN = keys.alive(ANY, "learner", ANY, ANY)
 def _actor(names: Sequence[str]) -> dict[str, list[str]]:
     """Message kinds an actor may send, with their keys, for the actor ids in `names` (zenoh key expressions)."""
     return {
-        "query": [*ASKED, *(keys.upload(ANY, name) for name in names)],
+        "query": [*ASKED, *(key(ANY, name) for name in names for key in (keys.upload, keys.work))],
         "put": [keys.progress(ANY, "actor", name) for name in names],
         "declare_subscriber": list(TOLD),
         "liveliness_token": [
@@ -87,6 +88,7 @@ def size_limits() -> list[dict[str, Any]]:
     data = ["put", "delete", "query", "reply"]
     limits = {
         "upload": ([keys.upload(ANY, ANY)], MAX_ROLLOUT_BYTES + MAX_HEADER_BYTES),
+        "work": ([keys.work(ANY, ANY)], MAX_RESULT_BYTES),
         "progress": ([keys.progress(ANY, ANY, ANY)], MAX_PROGRESS_BYTES),
         "questions": (list(ASKED), 2 * MAX_HEADER_BYTES),
     }

@@ -3,6 +3,7 @@
     appl/run                                     what runs here: run id and frozen config
     appl/RUN/upload/ACTOR                        rollouts in, acks out
     appl/RUN/claim/ACTOR/INCARNATION             token: this process uploads as ACTOR
+    appl/RUN/work/ACTOR                          results of an evaluation in, jobs out
     appl/RUN/weights                             newest policy
     appl/RUN/state                               desired state of the actors
     appl/RUN/status                              the learner's numbers for the terminal
@@ -36,6 +37,10 @@ def check_name(field: str, text: str) -> str:
 
 def upload(run_id: str, actor_id: str) -> str:
     return f"appl/{run_id}/upload/{actor_id}"
+
+
+def work(run_id: str, actor_id: str) -> str:
+    return f"appl/{run_id}/work/{actor_id}"
 
 
 def claim(run_id: str, actor_id: str, incarnation: str) -> str:

@@ -14,6 +14,10 @@ import psutil
 import pytest
 
 from appl_dist.launch.ledger import run_ledger
+from appl_dist.launch.runs import whereabouts
+from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.session import open_session
+from appl_dist.wire.settings import WireSettings
 from tests.integration.test_train import free_port
 
 SMALL = (
@@ -51,9 +55,11 @@ class Fleet:
         return done.returncode, done.stdout + done.stderr
 
     def names(self) -> list[str]:
-        """Actors that the learner lists."""
-        words = [line.split()[1:2] for line in self.status()[1].splitlines()]
-        return [word for found in words for word in found if word.startswith(("far-", "actor-"))]
+        """Actors that the learner lists as heard of."""
+        endpoint = whereabouts(self.run).endpoint
+        with open_session(WireSettings(endpoint, timeout_s=30.0), listen=False) as session:
+            run_id, _ = fetch_run(session, 30.0)
+            return [a["id"] for a in fetch_status(session, run_id, 30.0)["actors"] if a["silent_s"] < 60.0]
 
     def transitions(self) -> int:
         file = self.run / "metrics.jsonl"
@@ -69,14 +75,21 @@ class Fleet:
         while time.monotonic() < deadline:
             if what():
                 return
-            time.sleep(0.2)
+            time.sleep(0.5)
         logs = "".join(f"\n--- {f.name}\n{f.read_text()[-1500:]}" for f in sorted(self._folder.rglob("*.log")))
         pytest.fail(f"waited too long for {name}{logs}")
 
     def end(self) -> None:
+        """Kill what was started here; what it started itself must then end by itself."""
+        below = [p for process in self._started if process.poll() is None for p in _below(process.pid)]
         for process in self._started:
             process.kill()
             process.wait()
+        psutil.wait_procs(below, timeout=60.0)
+
+
+def _below(pid: int) -> list[psutil.Process]:
+    return psutil.Process(pid).children(recursive=True)
 
 
 @pytest.fixture
@@ -91,6 +104,7 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_actors_follow_a_learner_that_moves_join_leave_and_end_with_the_run(fleet: Fleet) -> None:
     far = fleet.start("actors", "actors=2", f"actor.run={fleet.run}", "actor.id=far")  # before there is any learner
     first = fleet.learner()

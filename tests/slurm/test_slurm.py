@@ -78,7 +78,7 @@ class Run:
 def test_a_run_outlives_its_nodes_and_ends_everywhere_when_it_is_stopped(cluster: Cluster, tmp_path: Path) -> None:
     run = Run(cluster, tmp_path / "shared" / "run")
     run.grow(100)
-    assert "task-1-0" in run.appl_dist("status", f"actor.run={run.folder}")
+    assert "actor-1-0" in run.appl_dist("status", f"actor.run={run.folder}")
 
     # The daemon of an actor's node dies. Slurm starts the task anew elsewhere, while the old actor is still at work.
     task = f"{run.actors}_1"

@@ -44,6 +44,11 @@ def test_a_learner_goes_on_in_the_folder_of_its_run(tmp_path: Path) -> None:
         prepare(load([*SMALL, f"run.folder={tmp_path / 'a'}"]))
 
 
+def test_a_folder_that_cannot_name_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"run\.folder: got .*a b; its last part names the run"):
+        prepare(load([*SMALL, f"run.folder={tmp_path / 'a b'}"]))
+
+
 def test_where_the_learner_is(tmp_path: Path) -> None:
     assert whereabouts(tmp_path) == Whereabouts("", ended=False)
     announce(tmp_path, "tcp/0.0.0.0:7447")

@@ -14,7 +14,7 @@ from appl_dist.errors import UserError
 from appl_dist.launch import slurm
 from appl_dist.launch.settings import LaunchSettings
 
-FOLDER, CWD = Path("/shared/runs/a b"), Path("/home/u/work")
+FOLDER, CWD = Path("/shared/runs/a"), Path("/home/u/my work")
 
 
 def settings(*overrides: str) -> Settings:
@@ -28,8 +28,8 @@ def options(text: str) -> list[str]:
 def test_what_is_asked_for_is_in_the_scripts() -> None:
     chosen = settings(
         "launch.actors_per_task=16", "launch.partition=cpu", "launch.account=lab", "launch.time=2-00:00:00",
-        "launch.actor_memory_gb=0.5", "launch.learner_memory_gb=16", "launch.extra=['--qos=long']", "launch.signal_s=90",
-        "launch.learner_extra=['--gres=gpu:1']",
+        "launch.actor_memory_gb=0.5", "launch.learner_memory_gb=16", "launch.extra=['--qos=long']",
+        "launch.signal_s=90", "launch.learner_extra=['--gres=gpu:1']",
     )  # fmt: skip
     (_, learner), (_, actors) = slurm.scripts(chosen, FOLDER, CWD)
     for text in (learner, actors):
@@ -40,7 +40,7 @@ def test_what_is_asked_for_is_in_the_scripts() -> None:
     assert {"--mem=16384M", "--cpus-per-task=4", "--gres=gpu:1"} <= set(options(learner))
     assert {"--array=0-31", "--mem=8192M", "--cpus-per-task=16"} <= set(options(actors))
     assert "--gres=gpu:1" not in options(actors)
-    assert "'/shared/runs/a b/config.json'" in learner
+    assert "cd '/home/u/my work'" in learner
 
 
 @pytest.mark.parametrize(("actors", "per_task"), [(1, 1), (1, 16), (16, 16), (17, 16), (500, 7)])
@@ -66,8 +66,17 @@ def test_the_scripts_are_bash(overrides: tuple[str, ...]) -> None:
 
 def test_a_container_sees_the_run_and_what_is_bound() -> None:
     text = slurm.scripts(settings("launch.container=/images/appl.sif", "launch.bind=[/data/barn]"), FOLDER, CWD)[0][1]
-    assert "apptainer exec --pwd /home/u/work --bind /home/u/work --bind '/shared/runs/a b' --bind /data/barn" in text
+    assert (
+        "apptainer exec --pwd '/home/u/my work' --bind '/home/u/my work' --bind /shared/runs/a --bind /data/barn"
+        in text
+    )
     assert "/images/appl.sif appl-dist learner" in text
+
+
+def test_a_folder_that_sbatch_would_misread_is_refused() -> None:
+    for name in ("a b", "a%j", "a'b"):
+        with pytest.raises(UserError, match=r"run\.folder"):
+            slurm.scripts(settings(), Path("/shared") / name, CWD)
 
 
 @pytest.mark.parametrize(
