@@ -105,13 +105,8 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         """`step` with parameter values (n,) instead of an action: repeats a recorded trial to the bit."""
         if self._over:
             raise RuntimeError("step() after the end of an episode: call reset() first")
-<<<<<<< HEAD
-        self._apply(self.space.to_values(action))
-        before = self.loop.simulator.position
-=======
         self._apply(values)
-        before = self._position()
->>>>>>> deploy
+        before = self.loop.simulator.position
         self.loop.advance(self.period_ms, self._ended)
         self._ended()
         after = self.loop.simulator.position
@@ -140,17 +135,11 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def _ended(self) -> bool:
         """Whether the trial is over now; latches success and the start of the clock."""
-<<<<<<< HEAD
         simulator, protocol = self.loop.simulator, self.protocol
         x, y = simulator.position
-        clearance_m = simulator.clearance_m
-        self.min_clearance_m = min(self.min_clearance_m, clearance_m)
-=======
-        x, y = self._position()
-        self.monitor.sample(self.loop.now_ms, self.loop.simulator)
+        self.monitor.sample(self.loop.now_ms, simulator)
         if self.on_sample is not None:
             self.on_sample()
->>>>>>> deploy
         if self._clock_start_ms is None:
             moved_m = math.hypot(x - self._start_xy[0], y - self._start_xy[1])
             if moved_m >= protocol.clock_starts_after_m:

@@ -132,10 +132,7 @@ def actor(settings: Settings) -> int:
     from appl_dist.wire.session import open_session
 
     die_with_parent()
-<<<<<<< HEAD
-=======
     own, identity = _who(settings)
->>>>>>> deploy
     wire = settings.wire
     if own.run:
         where = whereabouts(Path(own.run))
@@ -143,12 +140,7 @@ def actor(settings: Settings) -> int:
             log.info("the run in %s has ended", own.run)
             return 0
         wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
-<<<<<<< HEAD
-    name = _name(settings)
-    with open_session(wire, listen=False, identity=name) as session:
-=======
     with open_session(wire, listen=False, identity=identity) as session:
->>>>>>> deploy
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
         stop = stop_event()  # until here there is nothing to end in order
         if EVALUATION in served:
@@ -157,41 +149,11 @@ def actor(settings: Settings) -> int:
             drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
             return 0
         frozen = from_dict(served)
-<<<<<<< HEAD
-        with open_spool(settings.actor, frozen.actor, run_id, name) as spool:
-=======
         with open_spool(own, frozen.actor, run_id, identity) as spool:
->>>>>>> deploy
             act_in_run(frozen, session, run_id, spool, stop.is_set)
     return 0
 
 
-<<<<<<< HEAD
-def _name(settings: Settings) -> str:
-    """What ids of this actor begin with: its identity's name. UserError: the credentials do not cover the id given."""
-    wire, wanted = settings.wire, settings.actor.id
-    if wire.security == "none":
-        return ACTOR
-    identity = find(wire.keys, wire.identity or wanted)
-    if wanted and not identity.covers(wanted):
-        raise UserError(f"actor.id: {wanted} is not covered by identity {identity.name}; expected {identity.name}-…")
-    return identity.name
-
-
-def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str, name: str = ACTOR) -> Spool:
-    """The spool of the actor that `own` describes, as large as `limits` says; its folder's name is the actor's id.
-
-    name: what an id begins with that is not given.
-    """
-    root = Path(own.run) / "spool" if own.run else Path("spool") / run_id
-    if own.id or own.spool or not own.run:
-        actor_id = own.id or f"{name}-{socket.gethostname()}-{os.getpid()}"
-        return _spool(Path(own.spool or root / actor_id), actor_id, limits, run_id)
-    # Where a dead actor's rollouts wait comes first, so that they are sent by whoever takes its place.
-    names = [f"{name}-{i}" for i in range(MAX_ACTORS)]
-    waiting = {path.parent.name for path in root.glob(f"{name}-*/*.rollout")}
-    for actor_id in sorted(names, key=lambda n: n not in waiting):
-=======
 def _who(settings: Settings) -> tuple[ActorSettings, str]:
     """(this actor, its identity). Without an id, and a run's folder to choose it in, the actor gets one of its own.
 
@@ -221,9 +183,8 @@ def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str, identity:
     names = [f"{identity}-{i}" for i in range(MAX_ACTORS)]
     waiting = {path.parent.name for path in root.glob(f"{identity}-*/*.rollout")}
     for name in sorted(names, key=lambda n: n not in waiting):
->>>>>>> deploy
         try:
-            return _spool(root / actor_id, actor_id, limits, run_id)
+            return _spool(root / name, name, limits, run_id)
         except SpoolInUse:
             continue
     raise UserError(f"actor.id: all {MAX_ACTORS} names in {root} are in use; give this actor an id")
@@ -294,25 +255,3 @@ class Patience:
         if self._present():
             self._seen_s = now_s
         return now_s - self._seen_s > self._limit_s
-<<<<<<< HEAD
-
-
-def evaluate(settings: Settings) -> int:
-    """Compare the configured methods; prints the tables and writes the results."""
-    from appl_dist.evaluate.main import evaluate as run
-
-    folder = settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S")
-    run(
-        list(settings.evaluation.methods.items()),
-        worlds_of(settings, settings.evaluation.worlds),
-        settings.evaluation.trials,
-        folder,
-        protocol=settings.protocol,
-        environment=environment_arguments(settings),
-        workers=settings.evaluation.workers or cores(),
-        seed=settings.run.seed,
-        console=make_console(),
-    )
-    return 0
-=======
->>>>>>> deploy
