@@ -77,10 +77,10 @@ class Learner:
 
     def __init__(self, bus: Bus, run: Run, settings: LearnerSettings) -> None:
         self.run_info, self.settings = run, settings
-        self._started = time.monotonic()
         self.replay = Replay(run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma)
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
+        self._started = time.monotonic()
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
         self.epoch = self._resume()
