@@ -3,7 +3,7 @@
     python benchmarks/learner_ingest.py                              # everything below
     python benchmarks/learner_ingest.py ingest --clients 1 8 64 500  # the learner only stores
     python benchmarks/learner_ingest.py train --clients 1 8 64 500   # the learner also trains, as fast as it can
-    python benchmarks/learner_ingest.py weights --clients 500        # a 3.6 MB policy to every client
+    python benchmarks/learner_ingest.py weights --clients 500        # the papers' policy to every client
 
 The learner is the real one (wire, ingest, replay on disk, TD3 of the papers' size). Clients are light actors in a few
 processes: each has its own connection and uploads recorded transitions in batches of about 64 KB, the next as soon as
@@ -209,7 +209,7 @@ def weights(clients: int, versions: int = 5) -> None:
     barrier, out = context.Barrier(len(parts) + 1), context.Queue()
     with tempfile.TemporaryDirectory() as folder, open_session(WireSettings(address), listen=True) as session:
         part = learner(session, Path(folder), train=False)
-        blob = part._policy().to_bytes()
+        blob = part._policy().to_bytes(half=True)
         part.close()
         publisher = WeightsPublisher(session, RUN)
         publisher.publish(1, 1, blob)

@@ -77,7 +77,7 @@ class NavigationLoop:
         # A scan waits for the transform of its stamp.
         self._scan_delay_ms = max(t.scan_delay_ms, self._odometry_delay_ms)
         self.simulator.reset(world, seed, start)
-        self._origin = float(start[0]), float(start[1])
+        self.origin = float(start[0]), float(start[1])
         self.navigator.reset(np.array([goal[0] - start[0], goal[1] - start[1], 0.0]))
         self.now_ms = 0
         self._command = (0.0, 0.0)
@@ -138,7 +138,7 @@ class NavigationLoop:
     def _sense(self) -> None:
         """The lidar fires and odometry is published, on the same 50 Hz grid."""
         pose, (x, y, yaw), twist = self.simulator.readings()
-        pose_odom = (x - self._origin[0], y - self._origin[1], yaw)
+        pose_odom = (x - self.origin[0], y - self.origin[1], yaw)
         now_ms, t = self.now_ms, self.timing
         self._newest = _Stamp(now_ms, pose, pose_odom)
         self._scans.append((now_ms + self._scan_delay_ms, self._newest))

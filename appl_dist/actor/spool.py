@@ -126,7 +126,6 @@ class Spool:
                 raise UserError(self._reason)
             if self._stopped or not (beyond or self._has_room(len(blob))):
                 return None
-            self._full = False
             seq, data = self._next, _CRC.pack(zlib.crc32(blob)) + blob
             self._write(self._path(seq), data)
             try:
@@ -154,6 +153,8 @@ class Spool:
             if seq != next(iter(self._sizes), None):
                 raise ValueError(f"seq: got {seq}; only the oldest pending rollout can be acked")
             self._remove(seq)
+            if len(self._sizes) <= self._max_count // 2:
+                self._full = False  # from here on it is news again
             self._changed.notify_all()
 
     def align(self, expected: int) -> None:

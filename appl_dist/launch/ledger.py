@@ -75,10 +75,9 @@ def audit(replay: Replay, spools: Iterable[Path]) -> Ledger:
     held: dict[str, list[tuple[int, receipt.Receipt]]] = defaultdict(list)
     for stored in replay.rollouts():
         held[stored.actor].append((stored.seq, receipt.of_arrays(stored.other, stored.actions, stored.rewards)))
-    expected = replay.ledger()
-    actors = sorted({*logs, *expected})
+    actors = sorted({*logs, *replay.actor_ids()})
     return Ledger(
-        {a: _account(logs[a], pending[a], held[a], expected.get(a, 0)) for a in actors}, replay.transitions_total
+        {a: _account(logs[a], pending[a], held[a], replay.expected_seq(a)) for a in actors}, replay.transitions_total
     )
 
 

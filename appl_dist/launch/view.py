@@ -54,6 +54,9 @@ def render(status: dict[str, Any] | None, notes: list[str], hint: str = "") -> R
             f"{a['silent_s']:.0f} s",
         )  # fmt: skip
     rows: list[RenderableType] = [progress, numbers, actors]
+    if status["refused"]:
+        senders = ", ".join(f"{sender} ({n:,})" for sender, n in list(status["refused"].items())[:3])
+        rows.append(f"[yellow]refused messages of {senders}[/yellow]")
     rows += [f"[yellow]{note}[/yellow]" for note in notes[-3:]]
     return Panel(Group(*rows), title=f"appl-dist · {status['run_id']}", subtitle=hint)
 

@@ -80,9 +80,9 @@ class Learner:
         self.replay = Replay(run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma)
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
+        self._started = time.monotonic()
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
-        self._started = time.monotonic()
         self.epoch = self._resume()
         self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
         self.statistics = EpisodeStatistics(run.failed_time_s)
@@ -146,7 +146,12 @@ class Learner:
         self.save()
         self.checkpoints.wait()
         self._report()
-        log.info("ended at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+        counts, refused = self.server.counts, self.server.refused()
+        log.info(
+            "ended at %d transitions, %d updates; this process stored %d rollouts, answered %d repeats, refused %d%s",
+            self.replay.transitions_total, self.td3.updates, counts["stored"], counts["duplicate"], counts["refused"],
+            f" (most of {', '.join(refused)})" if refused else "",
+        )  # fmt: skip
 
     def save(self) -> None:
         """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
@@ -216,7 +221,11 @@ class Learner:
     def _publish(self) -> None:
         self.version += 1
         self.statistics.current = (self.epoch, self.version)
-        self.publisher.publish(self.epoch, self.version, self._policy().to_bytes())
+        try:
+            blob = self._policy().to_bytes(half=True)
+        except ValueError as error:  # a weight that is not finite, or beyond float16
+            raise Diverged(str(error)) from None
+        self.publisher.publish(self.epoch, self.version, blob)
 
     def _report(self) -> None:
         self._rates.mark(self.replay.transitions_total, self.td3.updates)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -149,6 +148,22 @@ class Replay:
             raise UserError(f"replay folder {folder}: meta.json cannot be read: {e}") from None
         return cls(folder, n_step=1, gamma=1.0, **sizes)
 
+    def rollouts(self) -> list[Stored]:
+        """Every rollout it still holds, oldest first; views of its own memory."""
+        names = {slot: name for name, slot in self._slots.items()}
+        found = []
+        for number in range(int(self._header.data["evicted"][0]), self.rollouts_total):
+            entry = self._index.data[number % len(self._index.data)]
+            n, start = int(entry["length"]), int(entry["start"]) % self._rows_count
+            rows = self._rows.data[start : start + n + 1]
+            actor, seq = names[int(entry["actor"])], int(entry["seq"])
+            found.append(Stored(actor, seq, rows["other"], rows["action"][:n], rows["reward"][:n]))
+        return found
+
+    def actor_ids(self) -> list[str]:
+        """Every actor that ever stored a rollout."""
+        return list(self._slots)
+
     # ---- what is in it
 
     def __len__(self) -> int:
@@ -173,34 +188,6 @@ class Replay:
     def expected_seq(self, actor_id: str) -> int:
         """The sequence number `insert` takes next from this actor; 0 for one never seen."""
         return self._expected.get(actor_id, 0)
-
-    def ledger(self) -> dict[str, int]:
-        """Every actor's expected sequence number, for a checkpoint."""
-        return dict(self._expected)
-
-    def rollouts(self) -> Iterator[Stored]:
-        """Every rollout it still holds, oldest first."""
-        evicted, inserted = int(self._header.data["evicted"][0]), self.rollouts_total
-        names = {slot: name for name, slot in self._slots.items()}
-        for number in range(evicted, inserted):
-            entry = self._index.data[number % len(self._index.data)]
-            n, start = int(entry["length"]), int(entry["start"]) % self._rows_count
-            rows = self._rows.data[start : start + n + 1]
-            yield Stored(
-                names[int(entry["actor"])], int(entry["seq"]), rows["other"], rows["action"][:n], rows["reward"][:n]
-            )
-
-    def resume(self, ledger: Mapping[str, int], transitions_total: int) -> None:
-        """Take up the counts of an earlier replay whose rows are gone (it was in memory).
-
-        ValueError if rollouts were already inserted: then the index knows better.
-        """
-        if self.rollouts_total:
-            raise ValueError(f"resume: replay already holds {self.rollouts_total} rollouts")
-        for actor_id, expected in ledger.items():
-            self._actors.data["floor"][self._actor_slot(actor_id)] = expected
-            self._expected[actor_id] = expected
-        self._total = transitions_total
 
     # ---- in
 

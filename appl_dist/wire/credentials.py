@@ -71,11 +71,14 @@ class Identity:
 def find(keys: str, wanted: str) -> Identity:
     """The identity in `keys` that covers `wanted`: its own, or of a name it begins with (actor-3: actor-3, then actor).
 
-    "" takes the only identity that is neither learner's nor viewer's. UserError: none, or several for "".
+    "" takes the only identity that is neither learner's nor viewer's, and so does a viewer that has none of its own.
+    UserError: none, or several for "".
     """
     root = Path(keys)
     if not root.is_dir():
         raise UserError(f"wire.keys: no folder at {keys}; `appl-dist keys {keys}` makes one")
+    if wanted == VIEWER and not (root / VIEWER).is_dir():
+        wanted = ""  # on an actor's machine the actor looks
     if wanted:
         name = wanted
         while name:

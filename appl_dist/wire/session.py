@@ -32,7 +32,8 @@ def open_session(settings: WireSettings, listen: bool, identity: str = "") -> Se
 
     identity: whose credentials to use where the settings ask for any and name none; see `credentials.find`.
     """
-    zenoh.init_log_from_env_or("off")  # refusals reach users as our sentences; RUST_LOG shows zenoh's own
+    if settings.security != "password":  # zenoh's log would hold it
+        zenoh.init_log_from_env_or("off")  # refusals reach users as our sentences; RUST_LOG shows zenoh's own
     config = zenoh.Config.from_json5(json.dumps(_config(settings, listen, identity)))
     try:
         return Session(zenoh.open(config))

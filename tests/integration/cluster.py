@@ -21,7 +21,7 @@ LEARNER = [
     "learner.samples_per_insert=64", "learner.td3.hidden=[16,16]", "learner.replay_capacity=20000",
     "learner.checkpoint_every_s=2", "learner.report_every_s=0.2", "wire.timeout_s=60",
 ]  # fmt: skip
-PATIENCE_S = 120.0  # only bounds a failing test
+PATIENCE_S = 200.0  # only bounds a failing test
 
 
 class Cable:
@@ -77,15 +77,29 @@ class Cable:
 
 
 class Cluster:
-    """One run under `root`: `root/run` of the learner, `root/spools/ID` of each actor; a cable between them."""
+    """One run under `root`: `root/run` of the learner, `root/spools/ID` of each actor; a cable between them.
 
-    def __init__(self, root: Path, *learner: str, actor: tuple[str, ...] = (), tls: bool = False) -> None:
+    host, prefix: where the learner listens instead, and what starts an actor there; then without the cable.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        *learner: str,
+        actor: tuple[str, ...] = (),
+        tls: bool = False,
+        host: str = "",
+        prefix: tuple[str, ...] = (),
+    ) -> None:
         self.root, self.run = root, root / "run"
         self.root.mkdir(parents=True, exist_ok=True)
         scheme = "tls" if tls else "tcp"
         self._listen = free_endpoint().replace("tcp", scheme)
         self.cable = Cable(int(self._listen.rsplit(":", 1)[1]))
         self._connect = f"{scheme}/127.0.0.1:{self.cable.port}"
+        if host:
+            self._listen = self._connect = self._listen.replace("127.0.0.1", host)
+        self._prefix = prefix
         self._learner, self._actor = learner, actor
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -97,11 +111,17 @@ class Cluster:
             "learner", "learner", f"wire.endpoint={self._listen}", f"{key}={self.run}", *LEARNER, *self._learner
         )
 
+    def begin(self) -> None:
+        """A new learner, there and ready: an actor that starts now need not wait for it."""
+        self.start_learner()
+        self.wait_for(lambda: "TD3 on" in self.log("learner"), "the learner")
+
     def start_actor(self, actor_id: str, spool: str = "", name: str = "", code: str = "") -> None:
         """code: Python to run before the command line."""
         spool_folder = self.root / "spools" / (spool or actor_id)
         settings = [f"wire.endpoint={self._connect}", f"actor.id={actor_id}", f"actor.spool={spool_folder}"]
-        self._start(name or actor_id, "actor", *settings, "wire.timeout_s=60", *self._actor, code=code)
+        settings += ["wire.timeout_s=60", *self._actor]
+        self._start(name or actor_id, "actor", *settings, code=code, prefix=self._prefix)
 
     def signal(self, name: str, number: int) -> None:
         self.processes[name].send_signal(number)
@@ -157,10 +177,14 @@ class Cluster:
                 process.wait()
         self.cable.close()
 
-    def _start(self, name: str, role: str, *settings: str, code: str = "") -> None:
+    def _start(self, name: str, role: str, *settings: str, code: str = "", prefix: tuple[str, ...] = ()) -> None:
         run = f"{code}; import sys; from appl_dist.__main__ import main; sys.exit(main())"
         command = [sys.executable, "-c", run] if code else [sys.executable, "-m", "appl_dist"]
         with (self.root / f"{name}.log").open("ab") as out:
             self.processes[name] = subprocess.Popen(
-                [*command, role, *settings], cwd=self.root, stdout=out, stderr=subprocess.STDOUT, env=dict(os.environ)
+                [*prefix, *command, role, *settings],
+                cwd=self.root,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                env=dict(os.environ),
             )

@@ -21,9 +21,11 @@ FREEZE_S, CUT_S = 15.0, 20.0
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
     cluster = Cluster(tmp_path)
-    cluster.start_learner()
-    yield cluster
-    cluster.close()
+    try:
+        cluster.begin()
+        yield cluster
+    finally:
+        cluster.close()
 
 
 def settle(cluster: Cluster, fault: str, recovered_s: float) -> None:
@@ -63,6 +65,23 @@ def test_a_learner_killed_and_restarted_from_its_files(cluster: Cluster) -> None
     settle(cluster, "learner killed -9, restarted from its files", recovered_s)
 
 
+def test_a_learner_killed_five_times_still_learns(cluster: Cluster) -> None:
+    """The long version, with curves, is benchmarks/recovery.py."""
+    cluster.start_actor("a0")
+    cluster.wait_for(lambda: cluster.steps() > 80, "enough to learn from")
+    for _ in range(5):
+        cluster.wait_for_more(5)
+        cluster.kill("learner")
+        cluster.start_learner()
+    settle(cluster, "learner killed -9 five times", cluster.wait_for_more())
+    lines = [json.loads(line) for line in (cluster.run / "metrics.jsonl").read_text().splitlines()]
+    assert json.loads((cluster.run / "epoch.json").read_text())["epoch"] == 6
+    # Updates lost with a killed process are made again: at the end as many as the limiter allows for this much data.
+    last = lines[-1]
+    due = 64.0 * (last["step"] - 60) / 256.0
+    assert 0.5 * due <= last["rate/updates"] <= due + 1100.0 * 64.0 / 256.0
+
+
 def test_everything_killed_and_restarted(cluster: Cluster) -> None:
     for _ in range(2):
         cluster.start_actor("a0")
@@ -93,7 +112,7 @@ def test_long_silences(tmp_path: Path) -> None:
     clusters = {fault: Cluster(tmp_path / str(i)) for i, fault in enumerate(faults)}
     try:
         for cluster in clusters.values():
-            cluster.start_learner()
+            cluster.begin()
             cluster.start_actor("a0")
         for cluster in clusters.values():
             cluster.wait_for(lambda c=cluster: c.steps() > 20, "the first transitions")  # type: ignore[misc]
@@ -148,7 +167,7 @@ def test_an_actor_of_another_version_and_one_of_another_run_are_refused(cluster:
 def test_a_full_spool_holds_the_actor_back_and_drains_in_order(tmp_path: Path) -> None:
     cluster = Cluster(tmp_path, "actor.spool_rollouts=3")
     try:
-        cluster.start_learner()
+        cluster.begin()
         cluster.start_actor("a0")
         cluster.wait_for_more()
         cluster.kill("learner")
@@ -180,7 +199,7 @@ def test_secrets_are_in_no_log_process_list_or_run_folder(tmp_path: Path, securi
     wire = (f"wire={security}", f"wire.keys={keys}")
     cluster = Cluster(tmp_path / "c", *wire, actor=wire, tls=security == "tls")
     try:
-        cluster.start_learner()
+        cluster.begin()
         cluster.start_actor("actor-7")
         cluster.wait_for_more()
         seen = "".join(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from appl_dist.actor.spool import Spool
 from appl_dist.errors import UserError
@@ -15,6 +17,7 @@ from appl_dist.launch.keys import make_keys
 from appl_dist.learner.ingest import Ingest
 from appl_dist.wire import keys
 from appl_dist.wire.codec import (
+    MAX_ROLLOUT_BYTES,
     Ack,
     StateHeader,
     UploadHeader,
@@ -213,6 +216,61 @@ def test_an_actor_cannot_speak_for_another_or_listen_to_it(learner: Learner) -> 
         assert decode_header(Ack, answer.payload).status == "welcome"
         presence.close()
     assert heard == []
+
+
+class Flood:
+    """Sends as fast as it can what its identity may send: junk uploads, questions, progress, oversized messages."""
+
+    def __init__(self, session: Session, name: str) -> None:
+        self._session, self._name = session, name
+        self._free = threading.Semaphore(64)
+        self.sent = 0
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def end(self) -> None:
+        self._end.set()
+        self._thread.join(60)
+
+    def _run(self) -> None:
+        questions = [keys.upload("run1", f"{self._name}-{i}") for i in range(200)]
+        questions += [keys.upload("run1", self._name), keys.status("run1"), keys.RUN]
+        while not self._end.is_set():
+            self._free.acquire()
+            size = MAX_ROLLOUT_BYTES + (1 << 20) if self.sent % 2000 == 0 else 100
+            self._session._session.get(
+                questions[self.sent % len(questions)],
+                zenoh.handlers.Callback(lambda _: None, self._free.release),
+                payload=bytes(size),
+                timeout=10.0,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            self._session.put(keys.progress("run1", "actor", self._name), b"junk")
+            self.sent += 1
+
+
+def test_a_flood_does_not_keep_an_honest_actor_from_its_work(learner: Learner, tmp_path: Path) -> None:
+    with (
+        learner.open("a0") as rogue,
+        learner.open("a1") as honest,
+        learner.open("viewer") as viewer,
+        Spool(tmp_path, "run1/a1") as spool,
+    ):
+        uploader = Uploader(honest, "run1", "a1", spool)
+        uploader.start()
+        flood = Flood(rogue, "a0")
+        assert wait_until(lambda: flood.sent > 500, 60.0)
+        for tag in range(100):
+            spool.put(encode_rollout(make_rollout(tag)))
+        assert uploader.close(drain_s=60.0)
+        assert fetch_status(viewer, "run1", 20.0)["actors"] == 1
+        flood.end()
+    assert learner.store.tags("a1") == list(range(100))
+    assert uploader.counts["busy"] == uploader.counts["unanswered"] == 0
+    assert list(learner.store.rollouts) == ["a1"]
+    assert all(sender.startswith("run1/a0") for sender in learner.server.refused(1000))
+    assert learner.roster.counts["malformed"] < flood.sent / 4
 
 
 def test_a_viewer_can_only_look(learner: Learner) -> None:
