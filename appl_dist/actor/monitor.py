@@ -36,8 +36,7 @@ class TrialMonitor:
         self._sampled_ms = now_ms
         self._samples.extend((now_ms / 1000.0, *simulator.motion))
         clearance_m = simulator.clearance_m
-        if clearance_m < self.min_clearance_m:
-            self.min_clearance_m = clearance_m
+        self.min_clearance_m = min(self.min_clearance_m, clearance_m)
         self._collided = simulator.collided
         if simulator.in_collision:
             self._collisions += now_ms - self._touched_ms >= APART_MS
