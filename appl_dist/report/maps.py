@@ -41,7 +41,7 @@ def decision_of(recording: Recording) -> NDArray[np.int64]:
     return np.clip(np.ceil(t_s / recording.period_s - 1e-9).astype(np.int64) - 1, 0, n - 1)
 
 
-def map_figure(recordings: Sequence[Recording], what: str = SPEED, columns: int = 6) -> Figure:
+def map_figure(recordings: Sequence[Recording], what: str = SPEED, columns: int = 4) -> Figure:
     """One map a recording, the path coloured by `what`, on a common scale."""
     rows = -(-len(recordings) // columns)
     figure = new_figure(2.7 * rows + 0.2)
