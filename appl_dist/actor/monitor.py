@@ -34,10 +34,9 @@ class TrialMonitor:
         if now_ms == self._sampled_ms:
             return
         self._sampled_ms = now_ms
-        x, y, yaw = simulator.pose
-        v, w = simulator.twist
-        self._samples.extend((now_ms / 1000.0, x, y, yaw, v, w))
-        self.min_clearance_m = min(self.min_clearance_m, simulator.clearance_m)
+        self._samples.extend((now_ms / 1000.0, *simulator.motion))
+        clearance_m = simulator.clearance_m
+        self.min_clearance_m = min(self.min_clearance_m, clearance_m)
         self._collided = simulator.collided
         if simulator.in_collision:
             self._collisions += now_ms - self._touched_ms >= APART_MS

@@ -19,7 +19,7 @@ def code() -> dict[str, Any]:
     """Version of the package and, in a git checkout, its commit and whether files differ from it."""
     commit = _git("rev-parse", "HEAD") if (_ROOT / ".git").exists() else ""
     return {
-        "version": _version("appl-dist"),
+        "version": _version("appl-dist") or "not installed",
         "commit": commit,
         "changed": bool(_git("status", "--porcelain", "--untracked-files=no")) if commit else None,
     }

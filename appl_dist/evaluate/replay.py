@@ -164,7 +164,7 @@ def _difference(old: Trial, new: Trial) -> str:
 
 def _frame(env: NavigationEnv) -> Frame:
     loop = env.loop
-    navigator, origin = loop.navigator, loop.origin[:2]
+    navigator, origin = loop.navigator, env.protocol.start(env.world)[:2]
     return Frame(
         t_s=loop.now_ms / 1000.0,
         pose=loop.simulator.pose,

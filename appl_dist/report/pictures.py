@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 FRAME_MS = 100
-FAILURES_SHOWN = 6
-FILMS_SHOWN = 2
+FAILURES_SHOWN = 5
+FILMS_SHOWN = 1  # of failures
 EXAMPLES = (0.1, 0.5, 0.9)  # worlds that are shown: quantiles of the mean time over methods
 METHODS_SHOWN = 4
 

@@ -79,10 +79,11 @@ def png_bytes(figure: Figure, dpi: int = PNG_DPI) -> bytes:
 
 def save_figure(figure: Figure, path: Path) -> list[Path]:
     """Write `path`.png and `path`.pdf."""
-    pdf = io.BytesIO()
+    png, pdf = png_bytes(figure), io.BytesIO()
+    figure.set_layout_engine("none")  # laid out by now
     figure.savefig(pdf, format="pdf", dpi=300, metadata={"CreationDate": None})
     written = []
-    for kind, data in (("png", png_bytes(figure)), ("pdf", pdf.getvalue())):
+    for kind, data in (("png", png), ("pdf", pdf.getvalue())):
         file = path.with_name(f"{path.name}.{kind}")
         write_atomic(file, data)
         written.append(file)

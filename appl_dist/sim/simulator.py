@@ -190,6 +190,12 @@ class Simulator:
         return x, y
 
     @property
+    def motion(self) -> tuple[float, float, float, float, float]:
+        """True x, y, yaw, forward speed and yaw rate, without an array."""
+        forward, _, w = self._vehicle.twist
+        return (*self._vehicle.pose, forward, w)
+
+    @property
     def pose(self) -> Floats:
         """(3,) true x, y, yaw of base_link, world frame."""
         return np.array(self._vehicle.pose)

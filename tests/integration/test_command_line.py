@@ -101,10 +101,11 @@ def test_help_lists_groups_and_keys(role: str, tmp_path: Path) -> None:
     assert "samples_per_insert" in result.stdout
 
 
+@pytest.mark.timeout(900)
 def test_evaluate_replay_and_report_in_a_row(tmp_path: Path) -> None:
     arguments = ("world.count=2", "evaluation.worlds=all", "evaluation.trials=1", "evaluation.folder=here")
     short = ("protocol.limit_s=4", "evaluation.workers=1", "+evaluation.methods.fast='set:max_vel_x=2'")
-    done = appl_dist("evaluate", *arguments, *short, cwd=tmp_path, timeout_s=280.0)
+    done = appl_dist("evaluate", *arguments, *short, cwd=tmp_path, timeout_s=600.0)
     assert done.returncode == 0, done.stderr
     assert "times real time" in done.stdout
     assert "Mean traversal time" in done.stdout

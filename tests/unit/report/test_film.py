@@ -93,4 +93,4 @@ def test_figures_of_a_trial_have_their_panels(recording: Recording) -> None:
     assert lidar.get_title() == f"lidar at {recording.frames[20].t_s:.1f} s"
     assert len(costs.images) == 1
     assert overview.get_title().startswith("a/0/0")
-    assert len(maps.map_figure([recording] * 7).axes) == 12 + 1  # two rows of six, and the colour bar
+    assert len(maps.map_figure([recording] * 7).axes) == 8 + 1  # two rows of four, and the colour bar

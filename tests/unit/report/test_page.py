@@ -25,6 +25,7 @@ from appl_dist.report.data import gather
 from appl_dist.report.main import write_report
 from tests.unit.evaluate.synthetic import make_trial
 
+pytestmark = pytest.mark.timeout(900)  # two dozen figures, on a machine that may be busy
 ROOT = Path(__file__).parents[3]
 WORLDS = tuple(range(12))
 SLOW = "slow & <fast>"  # a label that HTML, LaTeX and Markdown must escape
