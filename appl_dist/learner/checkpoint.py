@@ -28,7 +28,7 @@ from appl_dist.learner.td3 import TD3, Diverged
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1
+FORMAT = 2
 _PATTERN = "checkpoint-*.safetensors"
 
 

@@ -14,7 +14,7 @@ class TD3Settings:
 
     `precision` bf16 computes the hidden layers in bfloat16 (3 to 4 times faster where the CPU has AMX),
     fp32 everything in float32; auto takes bf16 where the hardware multiplies it natively. `threads` is
-    torch's, for the process. n-step and gamma belong to replay.
+    torch's, for the process. `layer_norm` normalises the critics' hidden layers. n-step and gamma belong to replay.
     """
 
     hidden: tuple[int, ...] = (512, 512, 512)
@@ -25,6 +25,7 @@ class TD3Settings:
     target_noise: float = 0.2
     target_noise_clip: float = 0.5
     policy_delay: int = 2
+    layer_norm: bool = False
     precision: str = "auto"
     device: str = "cpu"
     threads: int = 1
