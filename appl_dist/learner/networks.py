@@ -114,7 +114,8 @@ class FlatMLP:
     def forward(self, x: Tensor, heads: int | None = None) -> Pass:
         """Evaluate the first `heads` networks (all by default) on inputs x (b, in)."""
         h = self.heads if heads is None else heads
-        y = x.to(self.layers[0].weight.dtype).expand(h, *x.shape)
+        # Contiguous: a matrix product would copy the expanded view, and again in the backward pass.
+        y = x.to(self.layers[0].weight.dtype).expand(h, *x.shape).contiguous()
         inputs, norms = [], []
         for layer in self.layers[:-1]:
             inputs.append(y)

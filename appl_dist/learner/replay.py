@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
+from appl_dist.learner.priorities import Priorities, Rows
 from appl_dist.learner.storage import FolderClaim, MappedArray
 from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, FloatArray, Rollout
 
@@ -52,7 +52,8 @@ class Batch:
 
     observations, next_observations (b, obs); actions (b, act); returns (b,) the n-step reward sum
     sum_i gamma^i r_i; discounts (b,) what multiplies the value of next_observations: gamma^k for the k <= n
-    steps summed, 0 where the episode ended for good.
+    steps summed, 0 where the episode ended for good. From a prioritised replay also rows (b,) int64, to be given back
+    with their TD errors, and weights (b,) of each error in the critics' loss.
     """
 
     observations: FloatArray
@@ -60,12 +61,15 @@ class Batch:
     returns: FloatArray
     discounts: FloatArray
     next_observations: FloatArray
+    rows: Rows | None = None
+    weights: FloatArray | None = None
 
 
 class Replay:
     """A ring of rollouts holding at most `capacity` transitions (fewer if rollouts average under 16 each).
 
-    One thread may insert while another samples. UserError if `folder` holds a replay of another shape, is
+    One thread may insert while another samples. priority_exponent 0 samples uniformly, above it by TD error
+    (`priorities.py`). UserError if `folder` holds a replay of another shape, is
     in use, or its disk is full.
     """
 
@@ -80,6 +84,7 @@ class Replay:
         scan_size: int = LIDAR_BEAMS,
         action_size: int = 8,
         scan_dtype: str = "uint8",
+        priority_exponent: float = 0.0,
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: got {capacity} transitions; at least 1")
@@ -89,6 +94,8 @@ class Replay:
             raise ValueError(f"gamma: got {gamma}; allowed 0..1")
         if scan_dtype not in ("uint8", "uint16"):
             raise ValueError(f"scan_dtype: got {scan_dtype!r}; allowed uint8, uint16")
+        if not 0.0 <= priority_exponent <= 1.0:
+            raise ValueError(f"priority_exponent: got {priority_exponent}; allowed 0..1")
         self.capacity, self.n_step, self.gamma = capacity, n_step, gamma
         self._scan_size, self._scan_dtype = scan_size, np.dtype(scan_dtype)
         self._levels = float(np.iinfo(self._scan_dtype).max)
@@ -121,6 +128,10 @@ class Replay:
         self._write_lock = threading.Lock()  # one insert at a time
         self._lock = threading.Lock()  # what sampling reads is still, held for the copy only
         self._recover()
+        self._priorities = Priorities(self._rows_count, priority_exponent) if priority_exponent else None
+        if self._priorities is not None:
+            live = np.arange(self._tail, self._head) % self._rows_count
+            self._priorities.enter(live[self._rows.data["left"][live] > 0])
         if self._claim is not None:
             self._claim.complete()
 
@@ -148,22 +159,6 @@ class Replay:
     def expected_seq(self, actor_id: str) -> int:
         """The sequence number `insert` takes next from this actor; 0 for one never seen."""
         return self._expected.get(actor_id, 0)
-
-    def ledger(self) -> dict[str, int]:
-        """Every actor's expected sequence number, for a checkpoint."""
-        return dict(self._expected)
-
-    def resume(self, ledger: Mapping[str, int], transitions_total: int) -> None:
-        """Take up the counts of an earlier replay whose rows are gone (it was in memory).
-
-        ValueError if rollouts were already inserted: then the index knows better.
-        """
-        if self.rollouts_total:
-            raise ValueError(f"resume: replay already holds {self.rollouts_total} rollouts")
-        for actor_id, expected in ledger.items():
-            self._actors.data["floor"][self._actor_slot(actor_id)] = expected
-            self._expected[actor_id] = expected
-        self._total = transitions_total
 
     # ---- in
 
@@ -248,6 +243,8 @@ class Replay:
             self._rows.data[begin : begin + len(rows)] = rows
             self._index.data[entry] = (seq, start + gap, self._total + n, n, slot)
             self._header.data["inserted"][0] = self.rollouts_total + 1  # the commit
+            if self._priorities is not None:
+                self._priorities.enter(np.arange(begin, begin + n))
             self._head = start + gap + len(rows)
             self._tail = self._start_of(int(self._header.data["evicted"][0]))
             self._total += n
@@ -261,6 +258,8 @@ class Replay:
             self._actors.data["floor"][old["actor"]] = old["seq"] + 1  # before the index can forget it
             evicted += 1
             self._header.data["evicted"][0] = evicted
+            if self._priorities is not None:
+                self._priorities.leave((old["start"] + np.arange(old["length"])) % self._rows_count)
             self._stored -= int(old["length"])
             surplus -= int(old["length"])
             self._tail = self._start_of(evicted) if evicted < inserted else self._head
@@ -271,14 +270,18 @@ class Replay:
     # ---- out
 
     def sample(self, batch: int, rng: np.random.Generator) -> Batch:
-        """`batch` transitions drawn uniformly with replacement; IndexError if there are none."""
+        """`batch` transitions drawn with replacement; IndexError if there are none."""
         if batch < 1:
             raise ValueError(f"batch: got {batch}; at least 1")
         steps = np.arange(self.n_step)
         with self._lock:
             if not self._stored:
                 raise IndexError("replay is empty")
-            first = self._draw(batch, rng)
+            weights = None
+            if self._priorities is None:
+                first = self._draw(batch, rng)
+            else:
+                first, weights = self._priorities.draw(batch, self._stored, rng)
             data = self._rows.data
             now = data.take(first)
             left = now["left"].astype(np.int64)  # (b,)
@@ -288,15 +291,23 @@ class Replay:
             else:  # past the end: the last reward again, times 0 below
                 rewards = data["reward"][first[:, None] + np.minimum(steps, taken[:, None] - 1)]
             then = data.take(first + taken)
-        weights = np.where(steps < taken[:, None], self.gamma**steps, 0.0)  # (b, n)
+        powers = np.where(steps < taken[:, None], self.gamma**steps, 0.0)  # (b, n)
         ended = (now["terminal"] != 0) & (taken == left)
         return Batch(
             observations=self._unpack(now),
             actions=np.ascontiguousarray(now["action"]),
-            returns=(rewards * weights).sum(1).astype(np.float32),
+            returns=(rewards * powers).sum(1).astype(np.float32),
             discounts=np.where(ended, 0.0, self.gamma**taken).astype(np.float32),
             next_observations=self._unpack(then),
+            rows=None if weights is None else first,
+            weights=weights,
         )
+
+    def prioritise(self, rows: Rows, errors: FloatArray) -> None:
+        """Take the TD errors (b,) of a sampled batch; without priorities there is nothing to do."""
+        if self._priorities is not None:
+            with self._lock:
+                self._priorities.update(rows, errors)
 
     def _draw(self, batch: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """(b,) rows, uniform over stored transitions: uniform over live rows, last observations rejected."""

@@ -53,6 +53,7 @@ class TD3:
         self.actor_adam = Adam(self.actor, settings.actor_lr, self._workers)
         self.critic_adam = Adam(self.critic, settings.critic_lr, self._workers)
         self.updates = 0
+        self.errors = torch.empty(0)
         log.info("TD3 on %s, %s, %d thread(s)", self.device, self.precision, settings.threads)
 
     def update(self, batch: Batch, detail: bool = False) -> Metrics:
@@ -79,9 +80,13 @@ class TD3:
         targets = self.targets(returns, discounts, next_obs)  # (b,)
         done = self.critic.forward(torch.cat((obs, action), 1))
         error = done.output[..., 0] - targets  # (2, b)
-        self.critic.backward(done, (error * (2.0 / len(targets)))[..., None])
+        by_output = error * (2.0 / len(targets))
+        if batch.weights is not None:
+            by_output *= torch.from_numpy(batch.weights).to(self.device)
+        self.critic.backward(done, by_output[..., None])
         self.critic_adam.step()
         self.updates += 1
+        self.errors = error.abs().amax(0)  # (b,) of the last batch, for a prioritised replay
         metrics: Metrics = {
             "loss/critic": error.square().mean(1).sum(),  # the sum of both networks' mean squared errors
             "q/mean": done.output.mean(),
