@@ -20,6 +20,7 @@ LIDAR_CLIP_M = 2.0  # observation clips ranges here (APPL journal, Sec. V-D)
 OBSERVATION_SIZE = LIDAR_BEAMS + 1 + 8
 SCAN = slice(0, LIDAR_BEAMS)  # ranges clipped to LIDAR_CLIP_M, scaled to [-1, 1]
 BEARING = LIDAR_BEAMS  # bearing of the local goal in the robot frame / pi
+VALUE_DECIMALS = 6  # of parameter values that an action stands for
 PARAMETERS = slice(LIDAR_BEAMS + 1, OBSERVATION_SIZE)  # parameters in force, scaled to [-1, 1]
 
 
@@ -66,10 +67,14 @@ class ParameterSpace:
         return np.array([p.default for p in self.parameters])
 
     def to_values(self, action: NDArray[Any]) -> NDArray[np.float64]:
-        """(n,) parameter values of an action in [-1, 1]; clipped to the box, integers rounded."""
+        """(n,) parameter values of an action in [-1, 1]; clipped to the box, integers rounded.
+
+        The others are rounded to VALUE_DECIMALS, so that the float32 action of a value gives that
+        value back: an inflation radius of 0.30000000045 m would inflate seven cells of 0.05 m where 0.3 inflates six.
+        """
         unit = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
         values: NDArray[np.float64] = self.low + unit * (self.high - self.low)
-        return np.where(self.integer, np.rint(values), values)
+        return np.where(self.integer, np.rint(values), np.round(values, VALUE_DECIMALS))
 
     def to_action(self, values: NDArray[Any]) -> FloatArray:
         """(n,) action in [-1, 1] whose parameter values are `values`, clipped to the box."""

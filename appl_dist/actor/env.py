@@ -99,10 +99,10 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         if self._over:
             raise RuntimeError("step() after the end of an episode: call reset() first")
         self._apply(self.space.to_values(action))
-        before = self._position()
+        before = self.loop.simulator.position
         self.loop.advance(self.period_ms, self._ended)
         self._ended()
-        after = self._position()
+        after = self.loop.simulator.position
         scan = self.loop.scan
         observation = self._observe(scan)
         terminated = self._success or self._failed()
@@ -126,20 +126,19 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.parameters = values
         self.loop.navigator.set_parameters(values)
 
-    def _position(self) -> tuple[float, float]:
-        pose = self.loop.simulator.pose
-        return float(pose[0]), float(pose[1])
-
     def _ended(self) -> bool:
         """Whether the trial is over now; latches success and the start of the clock."""
-        x, y = self._position()
-        self.min_clearance_m = min(self.min_clearance_m, self.loop.simulator.clearance_m)
+        simulator, protocol = self.loop.simulator, self.protocol
+        x, y = simulator.position
+        clearance_m = simulator.clearance_m
+        self.min_clearance_m = min(self.min_clearance_m, clearance_m)
         if self._clock_start_ms is None:
             moved_m = math.hypot(x - self._start_xy[0], y - self._start_xy[1])
-            if moved_m >= self.protocol.clock_starts_after_m:
+            if moved_m >= protocol.clock_starts_after_m:
                 self._clock_start_ms = self.loop.now_ms
-        self._success = self._success or (not self._failed() and self.protocol.succeeded(x, y, self._goal))
-        return self._success or self._failed() or self._timed_out()
+        failed = self._failed()
+        self._success = self._success or (not failed and protocol.succeeded(x, y, self._goal))
+        return self._success or failed or self._timed_out()
 
     def _failed(self) -> bool:
         simulator = self.loop.simulator

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from appl_dist.actor.timing import TimingSettings
 from appl_dist.planner.navigator import Navigator
-from appl_dist.sim.simulator import Simulator
+from appl_dist.sim.simulator import Pose, Simulator
 from appl_dist.sim.worlds import World
 from appl_dist.spec import FloatArray
 
@@ -47,8 +47,8 @@ class _Stamp(NamedTuple):
     """When and where the lidar fired: true pose in the world, estimated pose in the odometry frame. Cast when read."""
 
     time_ms: int
-    pose: Array
-    pose_odom: Array
+    pose: Pose
+    pose_odom: Pose
 
 
 class NavigationLoop:
@@ -73,16 +73,15 @@ class NavigationLoop:
             )
         ]
         self.simulator.reset(world, seed, start)
-        self.origin = np.array([start[0], start[1], 0.0])
+        self._origin = float(start[0]), float(start[1])
         self.navigator.reset(np.array([goal[0] - start[0], goal[1] - start[1], 0.0]))
         self.now_ms = 0
-        self.command = np.zeros(2)
+        self._command = (0.0, 0.0)
         self._received_ms = 0
-        self._in_flight: list[tuple[int, Array]] = []  # commands on their way to the wheels
+        self._in_flight: list[tuple[int, tuple[float, float]]] = []  # commands on their way to the wheels
         self._scan_due_ms = 0
         self._scans: list[tuple[int, _Stamp]] = []  # usable from
-        self.estimate = self._odometry()
-        self._estimates: list[tuple[int, tuple[Array, Array]]] = []
+        self._estimates: list[tuple[int, Pose, tuple[float, float]]] = []  # usable from, pose, twist
         self._local = Rate(t.local_map_period_ms, phase[0])
         self._global = Rate(t.global_map_period_ms, phase[1])
         self._plan = Rate(t.plan_period_ms, phase[2])
@@ -90,36 +89,36 @@ class NavigationLoop:
         self._planning_from: Array | None = None
         self._plan_done_ms = NEVER
         self._control_done_ms = 0
+        self._work_due_ms = self._next_work_ms()
         self._sense()
+        self.estimate = self._estimate()
 
     def advance(self, duration_ms: int, stop: Callable[[], bool]) -> None:
         """Run for `duration_ms`, or until `stop()`, asked whenever the lidar has fired, is true."""
         end_ms = self.now_ms + duration_ms
         while True:
-            arrival = self._in_flight[0][0] if self._in_flight else NEVER
-            event_ms = min(
-                self._scan_due_ms,
-                arrival,
-                self._local.due_ms,
-                self._global.due_ms,
-                self._plan_done_ms if self._planning_from is not None else self._plan.due_ms,
-                self._control.due_ms,
-            )
-            if event_ms >= end_ms:
-                self._drive_until(end_ms)
-                return
+            arrival_ms = self._in_flight[0][0] if self._in_flight else NEVER
+            scan_ms, work_ms = self._scan_due_ms, self._work_due_ms
             # Simultaneous events in the order of the data's way, so that `ideal` is one synchronous tick.
-            if event_ms == arrival:
-                self._drive_until(event_ms)
-                self.command = self._in_flight.pop(0)[1]
-                self._received_ms = event_ms
-            elif event_ms == self._scan_due_ms:
-                self._drive_until(event_ms)
+            if arrival_ms <= scan_ms and arrival_ms <= work_ms and arrival_ms < end_ms:
+                self._drive_until(arrival_ms)
+                self._command = self._in_flight.pop(0)[1]
+                self._received_ms = arrival_ms
+            elif scan_ms <= work_ms and scan_ms < end_ms:
+                self._drive_until(scan_ms)
                 self._sense()
                 if stop():
                     return
+            elif work_ms < end_ms:
+                self._compute(work_ms)
+                self._work_due_ms = self._next_work_ms()
             else:
-                self._compute(event_ms)
+                self._drive_until(end_ms)
+                return
+
+    def _next_work_ms(self) -> int:
+        plan_ms = self._plan.due_ms if self._planning_from is None else self._plan_done_ms
+        return min(self._local.due_ms, self._global.due_ms, plan_ms, self._control.due_ms)
 
     @property
     def scan(self) -> FloatArray:
@@ -129,24 +128,31 @@ class NavigationLoop:
     def _drive_until(self, time_ms: int) -> None:
         if time_ms > self.now_ms:
             age_s = (self.now_ms - self._received_ms) / 1000.0
-            self.simulator.step(self.command, (time_ms - self.now_ms) / 1000.0, age_s)
+            self.simulator.step(self._command, (time_ms - self.now_ms) / 1000.0, age_s)
             self.now_ms = time_ms
 
     def _sense(self) -> None:
         """The lidar fires and odometry is published, on the same 50 Hz grid."""
-        estimate = self._odometry()
-        self._newest = _Stamp(self.now_ms, self.simulator.pose, estimate[0])
-        self._scans.append((self.now_ms + self.timing.scan_delay_ms, self._newest))
-        self._estimates.append((self.now_ms + self.timing.odometry_delay_ms, estimate))
-        self._scan_due_ms = self.now_ms + self.timing.scan_period_ms
+        pose, (x, y, yaw), twist = self.simulator.readings()
+        pose_odom = (x - self._origin[0], y - self._origin[1], yaw)
+        now_ms, t = self.now_ms, self.timing
+        self._newest = _Stamp(now_ms, pose, pose_odom)
+        self._scans.append((now_ms + t.scan_delay_ms, self._newest))
+        self._estimates.append((now_ms + t.odometry_delay_ms, pose_odom, twist))
+        self._scan_due_ms = now_ms + t.scan_period_ms
 
-    def _odometry(self) -> tuple[Array, Array]:
-        """Pose (3,) in the odometry frame and twist (2,), as the wheels and the IMU tell them."""
-        return self.simulator.odom_pose - self.origin, self.simulator.odom_twist
+    def _estimate(self) -> tuple[Array, Array]:
+        """Pose (3,) in the odometry frame and twist (2,), as the wheels and the IMU told them last."""
+        _, pose, twist = self._estimates[0]
+        return np.array(pose), np.array(twist)
 
     def _newest_estimate(self, now_ms: int) -> tuple[Array, Array]:
-        while self._estimates and self._estimates[0][0] <= now_ms:
-            self.estimate = self._estimates.pop(0)[1]
+        waiting = self._estimates
+        if waiting and waiting[0][0] <= now_ms:
+            while len(waiting) > 1 and waiting[1][0] <= now_ms:
+                del waiting[0]
+            self.estimate = self._estimate()
+            del waiting[0]
         return self.estimate
 
     def _delay_ms(self, work_ms: float) -> int:
@@ -179,10 +185,10 @@ class NavigationLoop:
             self._planning_from = None
             self._plan.finish(now_ms)
         else:
-            command = self.navigator.control(pose, twist, now_ms / 1000.0)
+            v, w = self.navigator.control(pose, twist, now_ms / 1000.0).tolist()
             work_ms = t.control_base_ms + t.control_us_per_step * self.navigator.rollout_steps / 1000.0
             self._control_done_ms = now_ms + self._delay_ms(work_ms)
-            self._in_flight.append((self._control_done_ms + t.command_delay_ms, command))
+            self._in_flight.append((self._control_done_ms + t.command_delay_ms, (v, w)))
             self._control.finish(self._control_done_ms)
 
     def _give_scan(self, now_ms: int) -> None:
@@ -191,4 +197,4 @@ class NavigationLoop:
             newest = self._scans.pop(0)[1]
         if newest is not None:
             ranges = self.simulator.scan_from(newest.pose, newest.time_ms)
-            self.navigator.add_scan(ranges, newest.pose_odom)
+            self.navigator.add_scan(ranges, np.array(newest.pose_odom))

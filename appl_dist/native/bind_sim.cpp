@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/tuple.h>
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 #include <tuple>
@@ -38,18 +39,21 @@ class Vehicle {
 
     void command(double v, double w, int64_t age_ms) { vehicle_command(&state_, v, w, age_ms); }
 
-    // Advance by up to `ms` of motion that cannot bring the hull within `margin_m` of a cylinder; returns the ms done.
-    int drive_free(int ms, double margin_m) {
-        if (spec_.ideal || ms <= 0) {
-            vehicle_advance(&spec_, &state_, ms);
-            return ms;
+    // Advance while the hull cannot come within `margin_m` of a cylinder, by at most `ms`; returns the ms done. The
+    // way is checked 20 ms ahead and, where that is too far to be sure, `least_ms`.
+    int drive_free(int ms, double margin_m, int least_ms) {
+        if (ms < 0 || least_ms < 1) throw nb::value_error("drive_free: ms must be at least 0 and least_ms at least 1");
+        int done = 0;
+        while (done < ms) {
+            int step = spec_.ideal ? ms : std::min(ms - done, AHEAD_MS);
+            if (!spec_.ideal && !is_free(step, margin_m)) {
+                step = std::min(step, least_ms);
+                if (!is_free(step, margin_m)) break;
+            }
+            vehicle_advance(&spec_, &state_, step);
+            done += step;
         }
-        const double speed = std::hypot(state_.vx, state_.vy) + std::fabs(state_.w) * HULL_RADIUS_M;
-        // Tyres give at most sqrt(2) mu g of acceleration; 15 m/s^2 bounds that with the hull's swing.
-        const double time = 1e-3 * ms, travel = (speed + 0.5 * 15.0 * time) * time;
-        if (clearance(travel + margin_m) < travel + margin_m) return 0;
-        vehicle_advance(&spec_, &state_, ms);
-        return ms;
+        return done;
     }
 
     // Predict `ms` ahead without contacts: mean velocity of base_link over that time, world frame, and mean yaw rate.
@@ -88,6 +92,15 @@ class Vehicle {
     const std::vector<double> &cylinders() const { return cylinders_; }
 
   private:
+    static constexpr int AHEAD_MS = 20;
+
+    bool is_free(int ms, double margin_m) const {
+        const double speed = std::hypot(state_.vx, state_.vy) + std::fabs(state_.w) * HULL_RADIUS_M;
+        // Tyres give at most sqrt(2) mu g of acceleration; 15 m/s^2 bounds that with the hull's swing.
+        const double time = 1e-3 * ms, reach = (speed + 0.5 * 15.0 * time) * time + margin_m;
+        return clearance(reach) >= reach;
+    }
+
     vehicle_spec spec_;
     vehicle_state state_, before_;
     std::vector<double> cylinders_;
@@ -97,7 +110,7 @@ class Lidar {
   public:
     Lidar(size_t beams, double angle_min, double angle_max, double range_min, double range_max, double noise_sd)
         : spec_{beams, angle_min, 0.0, range_min, range_max, noise_sd}, cosines_(beams), sines_(beams) {
-        if (beams < 2 || !(angle_max > angle_min)) throw nb::value_error("beams: a lidar has at least 2, angles rising");
+        if (beams < 4 || !(angle_max > angle_min)) throw nb::value_error("beams: a lidar has at least 4, angles rising");
         spec_.increment = (angle_max - angle_min) / static_cast<double>(beams - 1);
         lidar_directions(&spec_, cosines_.data(), sines_.data());
     }
@@ -158,7 +171,7 @@ void bind_sim(nb::module_ &m) {
         .def(nb::init<const vehicle_spec &>(), nb::arg("spec"))
         .def("reset", &Vehicle::reset, nb::arg("pose"), nb::arg("seed"), nb::arg("cylinders"))
         .def("command", &Vehicle::command, nb::arg("v"), nb::arg("w"), nb::arg("age_ms"))
-        .def("drive_free", &Vehicle::drive_free, nb::arg("ms"), nb::arg("margin_m"))
+        .def("drive_free", &Vehicle::drive_free, nb::arg("ms"), nb::arg("margin_m"), nb::arg("least_ms") = 4)
         .def("predict", &Vehicle::predict, nb::arg("ms"))
         .def("correct", &Vehicle::correct)
         .def("clearance", &Vehicle::clearance, nb::arg("limit_m"))

@@ -1,9 +1,9 @@
 """The Jackal as a pybullet body among cylinders: contacts, and what they do to its motion.
 
 Traction does not come from here. Wheels and ground are frictionless in pybullet; the tyre forces of
-csrc/tyres.c move the robot, and this body is carried along with the velocity they give, so that only contacts
-with obstacles (and the ground, in height and tilt) change its motion. Wheels spin as commanded and have their
-friction against obstacles.
+csrc/tyres.c move the robot, and this body is given the velocity they give, so that only contacts with obstacles
+(and the ground, in height and tilt) change its motion. Wheels spin as commanded and have their friction against
+obstacles. Where nothing is in reach there is nothing to resolve, and the body is left where it was.
 """
 
 from __future__ import annotations
@@ -71,6 +71,7 @@ class BulletBody:
         self.touching = False  # an obstacle, in the last step
         self.held = False  # contacts, not the tyre model, have the last word on where the robot is
         self._vertical = (0.0, 0.0, 0.0)  # vz and the roll and pitch rates, world frame
+        self._height = 0.0  # of the base body's centre of mass
 
     def close(self) -> None:
         """Leave pybullet; safe to call twice."""
@@ -113,11 +114,8 @@ class BulletBody:
         self._com = p.getDynamicsInfo(self._robot, -1, physicsClientId=client)[3]
         self._dt_s = 0.0
         self._wheels = (0.0, 0.0)
-        self.tilt_rad = 0.0
-        self.touching = False  # an obstacle, in the last step
-        self.held = False  # contacts, not the tyre model, have the last word on where the robot is
-        self._vertical = (0.0, 0.0, 0.0)
-        self._place(pose, BASE_HEIGHT_M + self._com[2])
+        self.land()
+        self._place(pose)
 
     def _add_obstacles(self, cylinders: Floats, visual: int) -> None:
         n = len(cylinders)
@@ -131,23 +129,23 @@ class BulletBody:
         body = p.createMultiBody(0, shape, visual, physicsClientId=self._client)
         p.changeDynamics(body, -1, lateralFriction=1.0, physicsClientId=self._client)
 
-    def _place(self, pose: Pose, height: float) -> None:
+    def _place(self, pose: Pose) -> None:
         x, y, yaw = pose
         c, s = math.cos(yaw), math.sin(yaw)
         cx, cy, _ = self._com
         p.resetBasePositionAndOrientation(
             self._robot,
-            (x + c * cx - s * cy, y + s * cx + c * cy, height),
+            (x + c * cx - s * cy, y + s * cx + c * cy, self._height),
             (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)),
             physicsClientId=self._client,
         )
 
-    def carry(self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float) -> None:
-        """Move with the velocity of the tyre model where nothing can be touched: the body just follows."""
-        height = p.getBasePositionAndOrientation(self._robot, physicsClientId=self._client)[0][2]
-        self._place(pose, height)
+    def land(self) -> None:
+        """Forget the last contact: the next step starts level, at rest vertically, wheels on the ground."""
+        self._height = BASE_HEIGHT_M + self._com[2]
         self._vertical = (0.0, 0.0, 0.0)
-        self._push(pose, velocity, wheels, dt_s)
+        self.touching = self.held = False
+        self.tilt_rad = 0.0
 
     def step(self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float) -> Motion:
         """Move for dt_s from `pose` (x, y, yaw) with base_link's mean velocity (vx, vy, yaw rate), world frame.
@@ -157,11 +155,10 @@ class BulletBody:
         """
         client, robot = self._client, self._robot
         if not self.held:
-            height = p.getBasePositionAndOrientation(robot, physicsClientId=client)[0][2]
-            self._place(pose, height)
+            self._place(pose)
             self._vertical = (self._vertical[0], 0.0, 0.0)
         ux, uy = self._push(pose, velocity, wheels, dt_s)
-        (bx, by, _), (qx, qy, qz, qw) = p.getBasePositionAndOrientation(robot, physicsClientId=client)
+        (bx, by, self._height), (qx, qy, qz, qw) = p.getBasePositionAndOrientation(robot, physicsClientId=client)
         (ax, ay, az), (gx, gy, gz) = p.getBaseVelocity(robot, physicsClientId=client)
         self._vertical = (az, gx, gy)
         self.tilt_rad = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (qx * qx + qy * qy))))

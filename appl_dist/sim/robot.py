@@ -86,7 +86,7 @@ class LidarSettings:
     mount_x_m: float = 0.055  # in base_link
 
     def __post_init__(self) -> None:
-        _require("lidar.beams", self.beams, 2, 100_000)
+        _require("lidar.beams", self.beams, 4, 100_000)
         _require("lidar.angle_min_rad", self.angle_min_rad, -math.pi, math.pi)
         _require("lidar.angle_max_rad", self.angle_max_rad, self.angle_min_rad + 1e-6, math.pi)
         _require("lidar.range_min_m", self.range_min_m, 0.0, 10.0)

@@ -1,8 +1,9 @@
 """One Jackal in one BARN world: command in; pose, odometry, scan and contact out.
 
-Free motion is csrc/tyres.c in steps of 1 ms. pybullet is stepped along with it, every 100 ms in the open and every
-4 ms where the robot could touch something; contacts found there change pose and velocity, and the tyre model goes
-on from them.
+Free motion is csrc/tyres.c in steps of 1 ms. Where the robot could touch something within the next 4 ms, pybullet
+steps along with it: contacts found there change pose and velocity, and the tyre model goes on from them. Anywhere
+else flat ground is all there is to touch, and pybullet is neither stepped nor, before an episode's first such place,
+even given the world.
 Frames: world = odom at reset; poses are x, y, yaw of base_link with a yaw that is not wrapped.
 """
 
@@ -15,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist._native import Vehicle
-from appl_dist.sim.bullet import BulletBody
+from appl_dist.sim.bullet import BulletBody, Pose
 from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from appl_dist.sim.worlds import Floats, World
 
-OPEN_MS = 100  # pybullet step where no obstacle is in reach
-CONTACT_MS = 4  # and where one is: 8 mm at full speed
-FREE_MS = 20  # how far ahead the way is checked at once
+CONTACT_MS = 4  # pybullet step where an obstacle is in reach: 8 mm at full speed
 GLIDE_MS = 20  # how often the ideal drive looks for collisions
 NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
@@ -74,10 +73,9 @@ class Simulator:
         if self.clearance_m < 0.0:
             raise ValueError(f"pose: ({start[0]:g}, {start[1]:g}) lies in an obstacle of {world.name}")
         if self._body is not None:
-            self._body.rebuild(self._cylinders, self._vehicle.pose)
-        self._synced = self._vehicle.pose
-        self._pending_ms = 0
-        self._held = False  # by a contact
+            self._body.land()
+        self._landed = True
+        self._built = False  # whether pybullet has this world yet
         self._ready = True
         self.collided = False  # since reset
         self.in_collision = False  # now
@@ -97,28 +95,29 @@ class Simulator:
         v, w = float(command[0]), float(command[1])
         if not (math.isfinite(v) and math.isfinite(w)):
             raise ValueError(f"command: got ({v}, {w}); both must be finite")
-        vehicle = self._vehicle
-        vehicle.command(v, w, round(1000.0 * command_age_s))
+        self._vehicle.command(v, w, round(1000.0 * command_age_s))
         if self._body is None:
             self._glide(ms)
-            return
+        else:
+            self._drive(ms, self._body)
+
+    def _drive(self, ms: int, body: BulletBody) -> None:
         while ms > 0:
-            chunk = min(ms, FREE_MS, OPEN_MS - self._pending_ms)
-            if not self._held and vehicle.drive_free(chunk, NEAR_M):
-                self._pending_ms += chunk
-                if self._pending_ms == OPEN_MS:
-                    self._carry()
-            else:
-                self._carry()
-                chunk = min(ms, CONTACT_MS)
-                self._contact_step(chunk)
-            ms -= chunk
+            done = 0 if body.held else self._vehicle.drive_free(ms, NEAR_M, CONTACT_MS)
+            if done == 0:
+                done = min(ms, CONTACT_MS)
+                self._contact_step(done)
+                self._landed = False
+            elif not self._landed:
+                body.land()
+                self._landed = True
+            ms -= done
 
     def _glide(self, ms: int) -> None:
         """The ideal drive goes through obstacles; touching one is all that is noted."""
         while ms > 0:
             chunk = min(ms, GLIDE_MS)
-            self._vehicle.drive_free(chunk, 0.0)
+            self._vehicle.drive_free(chunk, 0.0, 1)
             self.in_collision = self.clearance_m <= 0.0
             self.collided |= self.in_collision
             ms -= chunk
@@ -128,30 +127,19 @@ class Simulator:
         turn = w * self._half_separation
         return (v - turn) / WHEEL_RADIUS_M, (v + turn) / WHEEL_RADIUS_M
 
-    def _carry(self) -> None:
-        """Take the pybullet body along the free motion since the last time."""
-        if not self._pending_ms:
-            return
-        dt_s = 1e-3 * self._pending_ms
-        self._pending_ms = 0
-        before, now = self._synced, self._vehicle.pose
-        self._synced = now
-        assert self._body is not None
-        velocity = ((now[0] - before[0]) / dt_s, (now[1] - before[1]) / dt_s, (now[2] - before[2]) / dt_s)
-        self._body.carry(before, velocity, self._wheel_rates(), dt_s)
-
     def _contact_step(self, ms: int) -> None:
         """One step where contacts are possible: predict freely, let pybullet resolve, correct."""
         body, vehicle = self._body, self._vehicle
         assert body is not None
         before = vehicle.pose
+        if not self._built:
+            body.rebuild(self._cylinders, before)
+            self._built = True
         velocity = vehicle.predict(ms)
         motion = body.step(before, velocity, self._wheel_rates(), 1e-3 * ms)
         self.in_collision = body.touching
-        self._held = body.held
-        if self._held:
+        if body.held:
             vehicle.correct(*motion)
-        self._synced = vehicle.pose
         self.collided |= self.in_collision
         self.rolled_over |= body.tilt_rad > ROLLED_OVER_RAD
 
@@ -159,7 +147,7 @@ class Simulator:
         """(720,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""
         return self.scan_from(self._vehicle.pose, self._vehicle.time_ms)
 
-    def scan_from(self, pose: tuple[float, float, float] | NDArray[np.float64], time_ms: int) -> NDArray[np.float32]:
+    def scan_from(self, pose: Pose, time_ms: int) -> NDArray[np.float32]:
         """The scan of a moment gone by, from the true pose then: a scan that nobody reads need not be cast."""
         x, y, yaw = pose
         mount = self.lidar.mount_x_m
@@ -167,6 +155,17 @@ class Simulator:
         ranges = np.empty(self.lidar.beams, np.float32)
         self._caster.cast(lidar, self._cylinders, self._seed, time_ms, ranges)
         return ranges
+
+    def readings(self) -> tuple[Pose, Pose, tuple[float, float]]:
+        """`pose`, `odom_pose` and `odom_twist` as plain numbers, for who asks 50 times a second."""
+        vehicle = self._vehicle
+        return vehicle.pose, vehicle.odom_pose, vehicle.odom_twist
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """True x, y of base_link, world frame."""
+        x, y, _ = self._vehicle.pose
+        return x, y
 
     @property
     def pose(self) -> Floats:

@@ -50,3 +50,9 @@ def test_a_good_rollout_passes() -> None:
 def test_a_broken_rollout_is_named(changes: dict[str, object], field: str) -> None:
     with pytest.raises(ValueError, match=f"^{field}: "):
         rollout(**changes).check()
+
+
+def test_the_action_of_the_defaults_gives_exactly_the_defaults() -> None:
+    """0.30000000045 m of inflation would be seven cells of 0.05 m, not six, and another robot."""
+    for space in (DWA, DWA_WIDE):
+        assert space.to_values(space.to_action(space.defaults)).tolist() == space.defaults.tolist()

@@ -23,7 +23,10 @@ static inline int line_cost(const grid_frame *g, const uint8_t *cost, grid_cell 
 int footprint_outline_cost(const footprint_shape *f, const grid_frame *g, const uint8_t *cost, double x, double y,
                            double cos_th, double sin_th) {
     grid_cell c[FOOTPRINT_CORNERS];
-    if (!footprint_corner_cells(f, g, x, y, cos_th, sin_th, c)) return -1;
+    return footprint_corner_cells(f, g, x, y, cos_th, sin_th, c) ? footprint_cells_cost(g, cost, c) : -1;
+}
+
+int footprint_cells_cost(const grid_frame *g, const uint8_t *cost, const grid_cell c[FOOTPRINT_CORNERS]) {
     int worst = 0;
     for (int i = 0; i < FOOTPRINT_CORNERS; ++i) {
         const int line = line_cost(g, cost, c[i], c[(i + 1) % FOOTPRINT_CORNERS]);

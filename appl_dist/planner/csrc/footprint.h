@@ -25,6 +25,8 @@ static inline bool footprint_corner_cells(const footprint_shape *f, const grid_f
 // (CostmapModel::footprintCost).
 int footprint_outline_cost(const footprint_shape *f, const grid_frame *g, const uint8_t *cost, double x, double y,
                            double cos_th, double sin_th);
+// The same, of the outline through the cells of the corners.
+int footprint_cells_cost(const grid_frame *g, const uint8_t *cost, const grid_cell c[FOOTPRINT_CORNERS]);
 
 // Outline and inside, one run of cells a column (Costmap2D::convexFillCells). `count` columns from `x0`.
 typedef struct {

@@ -18,6 +18,10 @@ typedef struct {
     int x, y;
 } grid_cell;
 
+typedef struct {
+    int x0, y0, x1, y1;  // columns [x0, x1], rows [y0, y1]; may reach beyond the map
+} grid_box;
+
 // Costmap2D::worldToMap. False for points off the map and for NaN.
 static inline bool world_to_map(const grid_frame *g, double wx, double wy, int *mx, int *my) {
     if (!(wx >= g->ox && wy >= g->oy)) return false;

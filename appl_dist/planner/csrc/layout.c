@@ -3,6 +3,8 @@
 
 #include <string.h>
 
+#include "search.h"
+
 static int cells_of(double metres, double res) { return (int)(metres / res + 0.5); }
 
 // Sets `bad` and returns false where a field is not in [low, high]; NaN is in no range.
@@ -18,7 +20,7 @@ bool navigator_check_settings(const planner_settings *s, planner_limit *bad) {
     PLANNER_SETTINGS(FINITE)
 #undef FINITE
     WITHIN(s, resolution_m, 0.01, 1.0)
-    WITHIN(s, local_size_m, 20 * res, 240 * res)
+    WITHIN(s, local_size_m, 20 * res, WAVE_SIDE_MAX * res)
     WITHIN(s, global_size_m, 20 * res, 4000 * res)
     WITHIN(s, sim_time, 0.01, 10)
     WITHIN(s, sim_granularity, 1e-3, 5)
@@ -69,24 +71,20 @@ static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int 
                                  (double)VELOCITY_MAX / s->angular_sim_granularity);
     wavefront *waves[2] = {&p->path, &p->goal};
     for (int i = 0; i < 2; ++i) {
-        waves[i]->dist = GRAB(a, uint16_t, wavefront_cells(w, h));
-        waves[i]->queue = GRAB(a, int32_t, w * h);
+        waves[i]->dist = GRAB(a, uint16_t, (h + 2) * WAVE_STRIDE);
+        waves[i]->next_target = GRAB(a, int, (h + 2) * WAVE_STRIDE);
+        for (int b = 0; b < WAVE_BUCKETS; ++b) waves[i]->bucket[b] = GRAB(a, uint16_t, w * h + 1);
     }
-    p->near_max = GRAB(a, uint8_t, w * h);
-    p->near_tmp = GRAB(a, uint8_t, w * h);
+    const int blocks = (w / SEARCH_BLOCK + 1) * (h / SEARCH_BLOCK + 1);
+    p->search.near_max = GRAB(a, uint8_t, blocks);
+    p->search.near_tmp = GRAB(a, uint8_t, blocks);
+    p->search.candidates = GRAB(a, candidate, SEARCH_SAMPLES);
+    p->search.heap = GRAB(a, int32_t, SEARCH_SAMPLES);
     rollout *scratch[3] = {&p->one, &p->two, &p->probe};
     for (int i = 0; i < 3; ++i) {
         scratch[i]->x = GRAB(a, double, p->steps_max);
         scratch[i]->y = GRAB(a, double, p->steps_max);
         scratch[i]->th = GRAB(a, double, p->steps_max);
-    }
-    p->xs = GRAB(a, double, p->steps_max);
-    p->ys = GRAB(a, double, p->steps_max);
-    for (int i = 0; i <= HEADING_RUNS; ++i) {
-        const int steps = i < HEADING_RUNS ? HEADING_STEPS : p->steps_max;
-        p->runs[i].th = GRAB(a, double, steps);
-        p->runs[i].cos_th = GRAB(a, double, steps);
-        p->runs[i].sin_th = GRAB(a, double, steps);
     }
 }
 

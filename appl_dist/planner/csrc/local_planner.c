@@ -77,8 +77,8 @@ static bool rotate_to_goal(local_planner *l, const double pose[3], double v, dou
 static const rollout *find_best(local_planner *l, const double pose[3], double v, double w) {
     // Eigen::Vector3f in findBestPath.
     const float x = (float)pose[0], y = (float)pose[1], yaw = (float)pose[2], fv = (float)v, fw = (float)w;
-    rollout_set_plan(&l->rollouts, l->plan.x + l->local_first, l->plan.y + l->local_first, l->local_count, x, y, yaw);
-    l->best = rollout_best(&l->rollouts, x, y, yaw, fv, fw);
+    l->best = rollout_best(&l->rollouts, l->plan.x + l->local_first, l->plan.y + l->local_first, l->local_count, x, y,
+                           yaw, fv, fw);
     l->best_cost = l->best->cost;
     return l->best;
 }

@@ -14,7 +14,6 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
     rollout_planner *r = &n->local_plan.rollouts;
     r->set = &n->set;
     r->shape = n->shape;
-    r->near_radius = (int)ceil(n->shape.reach / set->resolution_m) + 1;
     for (int i = 0; i < (int)set->beams; ++i) {
         const double angle = -set->angle_max_rad + i * (2 * set->angle_max_rad / ((int)set->beams - 1));
         n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);

@@ -2,7 +2,7 @@
 
 #include <float.h>
 
-#include "simulate.h"
+#include "search.h"
 
 void rollout_reset(rollout_planner *p) {
     p->stuck_left = p->stuck_right = p->rotating_left = p->rotating_right = p->escaping = false;
@@ -39,15 +39,14 @@ static void walk_point(plan_walk *walk, double x, double y) {
     }
 }
 
-void rollout_set_plan(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
-                      double theta) {
+// The part of findBestPath that lays out the grids.
+static void lay_out_waves(rollout_planner *p, const double *plan_x, const double *plan_y, int n, const motion *m,
+                          const grid_box *box) {
     const double res = p->frame.res;
-    p->goal_x = plan_x[n - 1], p->goal_y = plan_y[n - 1];
-    p->path.w = p->goal.w = p->frame.w, p->path.h = p->goal.h = p->frame.h;
-    wavefront_reset(&p->path, p->cost);
-    wavefront_reset(&p->goal, p->cost);
+    wavefront_reset(&p->path, &p->frame, p->cost, box);
+    wavefront_reset(&p->goal, &p->frame, p->cost, box);
     footprint_columns robot;
-    if (footprint_fill(&p->shape, &p->frame, x, y, theta, &robot))
+    if (footprint_fill(&p->shape, &p->frame, m->x, m->y, m->th, &robot))
         for (int i = 0; i < robot.count; ++i)
             for (int row = robot.low[i]; row <= robot.high[i]; ++row) wavefront_unblock(&p->path, robot.x0 + i, row);
     plan_walk walk = {.p = p};
@@ -63,13 +62,9 @@ void rollout_set_plan(rollout_planner *p, const double *plan_x, const double *pl
         walk_point(&walk, plan_x[i], plan_y[i]);
         last_x = plan_x[i], last_y = plan_y[i];
     }
+    p->goal_column = walk.goal_x, p->goal_row = walk.goal_y;
     if (walk.started) wavefront_target(&p->goal, walk.goal_x, walk.goal_y);
 }
-
-typedef struct {
-    double min_v, max_v, dv, min_w, max_w, dw;
-    int nv, nw;
-} sample_window;
 
 static sample_window dynamic_window(const rollout_planner *p, const motion *m) {
     const planner_settings *s = p->set;
@@ -97,31 +92,14 @@ static void take(contest *c) {
     c->other = t;
 }
 
-static void try_forward(rollout_planner *p, const motion *m, double v, double w, int column, contest *c) {
-    if (p->trace) {
-        simulate(p, *m, v, w, c->other);
-        if (c->other->cost >= 0 && (c->other->cost < c->best->cost || c->best->cost < 0)) take(c);
-    } else if (simulate_if_better(p, m, v, w, column, c->best->cost, false, NULL, c->other)) {
-        take(c);
-    }
+static void try_forward(rollout_planner *p, const motion *m, double v, double w, contest *c) {
+    simulate(p, *m, v, w, c->other);
+    if (c->other->cost >= 0 && (c->other->cost < c->best->cost || c->best->cost < 0)) take(c);
 }
 
-static void try_turn(rollout_planner *p, const motion *m, double w, double dw, int column, double *ahead,
-                     contest *c) {
-    const double least = p->set->min_in_place_vel_theta;
-    const double limited = w > 0 ? fmax(w, least) : fmin(w, -least);
-    const bool allowed = (w > dw || w < -dw) && ((w < 0 && !p->stuck_left) || (w > 0 && !p->stuck_right));
-    if (!p->trace) {
-        if (allowed && simulate_if_better(p, m, 0, limited, column, c->best->cost, true, ahead, c->other)) {
-            take(c);
-        } else if (!allowed) {
-            p->rollouts += 1;
-            p->rollout_steps += simulate_steps(p, 0, limited);
-        }
-        return;
-    }
+static void try_turn(rollout_planner *p, const motion *m, double w, bool allowed, double *ahead, contest *c) {
     rollout *t = c->other;
-    simulate(p, *m, 0, limited, t);
+    simulate(p, *m, 0, w, t);
     if (!allowed || t->cost < 0 || !(t->cost <= c->best->cost || c->best->cost < 0)) return;
     const double th = t->th[t->points - 1];
     int cx, cy;
@@ -133,6 +111,21 @@ static void try_turn(rollout_planner *p, const motion *m, double w, double dw, i
         *ahead = d;
         take(c);
     }
+}
+
+// Every sample, in order, as ROS does.
+static void try_all(rollout_planner *p, const motion *m, const sample_window *k, contest *c) {
+    if (!p->escaping) {
+        double v = k->min_v;
+        for (int i = 0; i < k->nv; ++i, v += k->dv) {
+            try_forward(p, m, v, 0, c);
+            double w = k->min_w;
+            for (int j = 0; j < k->nw - 1; ++j, w += k->dw) try_forward(p, m, v, w, c);
+        }
+    }
+    double ahead = DBL_MAX, w = k->min_w;
+    for (int j = 0; j < k->nw; ++j, w += k->dw)
+        try_turn(p, m, turn_rate(p, w), turn_allowed(p, w, k->dw), &ahead, c);
 }
 
 static void forget_oscillation_after(rollout_planner *p, const motion *m) {
@@ -159,25 +152,25 @@ static void remember_turn(rollout_planner *p, const motion *m, const rollout *be
     p->prev_y = m->y;
 }
 
-const rollout *rollout_best(rollout_planner *p, double x, double y, double theta, double v, double w) {
+const rollout *rollout_best(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
+                            double theta, double v, double w) {
     const motion m = {x, y, theta, v, w};
+    p->goal_x = plan_x[n - 1], p->goal_y = plan_y[n - 1];
     const sample_window k = dynamic_window(p, &m);
     contest c = {&p->one, &p->two};
     c.best->cost = c.other->cost = -1;
     c.best->points = c.other->points = 0;
     p->rollouts = p->rollout_steps = 0;
-    simulate_prepare(p);
-
-    if (!p->escaping) {
-        double vs = k.min_v;
-        for (int i = 0; i < k.nv; ++i, vs += k.dv) {
-            try_forward(p, &m, vs, 0, 0, &c);
-            double ws = k.min_w;
-            for (int j = 0; j < k.nw - 1; ++j, ws += k.dw) try_forward(p, &m, vs, ws, 1 + j, &c);
-        }
+    if (p->trace) {
+        const grid_box everywhere = {0, 0, p->frame.w - 1, p->frame.h - 1};
+        lay_out_waves(p, plan_x, plan_y, n, &m, &everywhere);
+        try_all(p, &m, &k, &c);
+    } else {
+        const grid_box ends = search_start(p, &m, &k, !p->escaping);
+        lay_out_waves(p, plan_x, plan_y, n, &m, &ends);
+        search_best(p, &m, &k, !p->escaping, c.best);
+        if (c.best->cost >= 0) simulate_again(p, m, c.best->v, c.best->w, c.best);
     }
-    double ahead = DBL_MAX, ws = k.min_w;
-    for (int j = 0; j < k.nw; ++j, ws += k.dw) try_turn(p, &m, ws, k.dw, 1 + j, &ahead, &c);
 
     if (c.best->cost >= 0) {
         remember_turn(p, &m, c.best);

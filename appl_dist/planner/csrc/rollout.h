@@ -21,14 +21,22 @@ typedef struct {
     int capacity, count;
 } rollout_trace;
 
-// The headings of one sampled yaw rate; rows of samples with equal step counts share them.
+// Scratch of search.c.
 typedef struct {
-    double w;
-    int steps;
-    double *th, *cos_th, *sin_th;
-} heading_run;
+    struct candidate *candidates;  // (SEARCH_SAMPLES)
+    int32_t *heap;                 // (SEARCH_SAMPLES) indices of candidates, the lowest bound first
+    int open;                      // of them
+    int used, row, column;         // candidates made; the sample after them
+    double v, w;
+    uint8_t *near_max;             // (near_h, near_w) highest cost in reach of a robot centred in a block of cells
+    uint8_t *near_tmp;
+    int near_w, near_h;
+    int border;                    // cells; a robot centred farther from the map's edge is inside
+    int start_occ;                 // cost of the pose all samples start from
+    double per_res;                // 1/m
+} sample_search;
 
-enum { HEADING_RUNS = 64, HEADING_STEPS = 256 };
+enum { SEARCH_SAMPLES = 4096, SEARCH_BLOCK = 4 };
 
 typedef struct {
     const planner_settings *set;
@@ -38,17 +46,15 @@ typedef struct {
     grid_frame frame;              // the local map, valid during one call
     const uint8_t *cost;
     wavefront path, goal;
-    uint8_t *near_max, *near_tmp;  // (h, w) highest cost within `near_radius` cells (Chebyshev)
-    int near_radius;
     double goal_x, goal_y;         // end of the local plan
+    int goal_column, goal_row;     // its cell, or that of the last point on the map
     // State over cycles. Names as in ROS, where left and right are swapped.
     bool stuck_left, stuck_right, rotating_left, rotating_right, escaping;
     double prev_x, prev_y, escape_x, escape_y, escape_theta;
     // Scratch.
     int steps_max;
     rollout one, two, probe;
-    double *xs, *ys;
-    heading_run runs[HEADING_RUNS + 1];  // the last has room for steps_max and is never reused
+    sample_search search;
     rollout_trace *trace;                // NULL: samples that cannot win are not simulated to the end
     long rollouts, rollout_steps;        // of the last call
 } rollout_planner;
@@ -56,11 +62,10 @@ typedef struct {
 void rollout_reset(rollout_planner *p);
 void rollout_set_parameters(rollout_planner *p, const planner_parameters *par);
 
-// The plan of this cycle, (n) points: updatePlan and the part of findBestPath that lays out the grids.
-void rollout_set_plan(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
-                      double theta);
-// The best roll-out; its arrays are valid until the next call. Poses and twist as truncated to float by ROS.
-const rollout *rollout_best(rollout_planner *p, double x, double y, double theta, double v, double w);
+// updatePlan and findBestPath: the best roll-out along a plan of n points. Its arrays are valid until the next call.
+// Poses and twist as truncated to float by ROS.
+const rollout *rollout_best(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
+                            double theta, double v, double w);
 // TrajectoryPlanner::checkTrajectory
 bool rollout_check(rollout_planner *p, double x, double y, double theta, double v, double w, double v_sample,
                    double w_sample);

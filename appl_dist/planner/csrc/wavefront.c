@@ -2,56 +2,106 @@
 
 #include <string.h>
 
-size_t wavefront_cells(int w, int h) { return (size_t)(w + 2) * (size_t)(h + 2); }
-
-void wavefront_reset(wavefront *m, const uint8_t *restrict cost) {
-    m->stride = m->w + 2;
-    m->head = m->tail = 0;
-    // The border counts as touched, so that waves need no bounds checks.
-    for (int x = 0; x < m->stride; ++x) m->dist[x] = m->dist[(m->h + 1) * m->stride + x] = WAVE_OBSTACLE;
-    for (int y = 0; y < m->h; ++y) {
-        uint16_t *restrict row = m->dist + (y + 1) * m->stride;
-        const uint8_t *restrict from = cost + y * m->w;
-        row[0] = row[m->w + 1] = WAVE_OBSTACLE;
-        for (int x = 0; x < m->w; ++x) row[x + 1] = from[x] >= COST_INSCRIBED ? WAVE_BLOCKED : WAVE_FREE;
+static void estimate(uint8_t *to, int cells, int low, int high) {
+    for (int i = 0; i < cells + 2; ++i) {
+        const int at = i - 1;
+        to[i] = (uint8_t)(at < low ? low - at : at > high ? at - high : 0);
     }
 }
 
-void wavefront_unblock(wavefront *m, int x, int y) { m->dist[wave_index(m, x, y)] = WAVE_FREE; }
+void wavefront_reset(wavefront *m, const grid_frame *frame, const uint8_t *cost, const grid_box *box) {
+    m->w = frame->w, m->h = frame->h;
+    m->cost = cost;
+    m->next = m->level = m->last_target = 0;
+    for (int b = 0; b < WAVE_BUCKETS; ++b) m->count[b] = 0;
+    memset(m->targets_at, -1, sizeof m->targets_at);
+    memset(m->laid_out, 0, sizeof m->laid_out);
+    estimate(m->to_column, m->w, box->x0, box->x1);
+    estimate(m->to_row, m->h, box->y0, box->y1);
+}
+
+// With a blocked border: waves need no bounds checks.
+void wavefront_lay_out_row(wavefront *m, int y) {
+    uint16_t *restrict row = m->dist + y * WAVE_STRIDE;
+    m->laid_out[y] = 1;
+    if (y == 0 || y == m->h + 1) {
+        for (int x = 0; x < m->w + 2; ++x) row[x] = WAVE_BLOCKED;
+        return;
+    }
+    const uint8_t *restrict from = m->cost + (y - 1) * m->w;
+    row[0] = row[m->w + 1] = WAVE_BLOCKED;
+    for (int x = 0; x < m->w; ++x) row[x + 1] = from[x] >= COST_INSCRIBED ? WAVE_BLOCKED : WAVE_FREE;
+}
+
+static inline void lay_out(wavefront *m, int y) {
+    if (!m->laid_out[y]) wavefront_lay_out_row(m, y);
+}
+
+void wavefront_unblock(wavefront *m, int x, int y) {
+    lay_out(m, y + 1);
+    m->dist[wave_index(x, y)] = WAVE_FREE;
+}
 
 void wavefront_target(wavefront *m, int x, int y) {
-    const int i = wave_index(m, x, y);
+    const int i = wave_index(x, y);
+    lay_out(m, y + 1);
     if (m->dist[i] == 0) return;  // a plan visits a cell more than once
     m->dist[i] = 0;
-    m->queue[m->tail++] = i;
+    const int far = m->to_column[x + 1] + m->to_row[y + 1];
+    m->next_target[i] = m->targets_at[far];
+    m->targets_at[far] = i;
+    if (far > m->last_target) m->last_target = far;
 }
 
-static inline void touch(wavefront *m, int i, uint16_t distance) {
-    if (m->dist[i] == WAVE_FREE) {
-        m->dist[i] = distance;
-        m->queue[m->tail++] = i;
-    } else if (m->dist[i] == WAVE_BLOCKED) {
-        m->dist[i] = WAVE_OBSTACLE;
-    }
+// Estimates differ by one between neighbours, so a neighbour goes into the same bucket or one of the next two.
+// A cell may be found twice, the second time nearer; then it is in two buckets and its second expansion finds nothing.
+static inline void relax(wavefront *m, int to, uint16_t distance, int rise, int bucket) {
+    const int b = bucket + 1 + rise < WAVE_BUCKETS ? bucket + 1 + rise : bucket + 1 + rise - WAVE_BUCKETS;
+    const bool nearer = (distance < m->dist[to]) & (m->dist[to] != WAVE_BLOCKED);
+    m->bucket[b][m->count[b]] = (uint16_t)to;
+    m->count[b] += nearer;
+    m->dist[to] = nearer ? distance : m->dist[to];
 }
 
-static inline void grow_one(wavefront *m) {
-    const int i = m->queue[m->head++];
+static void expand(wavefront *m, int i, int bucket) {
+    const int x = i % WAVE_STRIDE, y = i / WAVE_STRIDE;
     const uint16_t next = (uint16_t)(m->dist[i] + 1);
-    touch(m, i - 1, next);
-    touch(m, i + 1, next);
-    touch(m, i - m->stride, next);
-    touch(m, i + m->stride, next);
+    lay_out(m, y - 1);
+    lay_out(m, y + 1);
+    relax(m, i - 1, next, m->to_column[x - 1] - m->to_column[x], bucket);
+    relax(m, i + 1, next, m->to_column[x + 1] - m->to_column[x], bucket);
+    relax(m, i - WAVE_STRIDE, next, m->to_row[y - 1] - m->to_row[y], bucket);
+    relax(m, i + WAVE_STRIDE, next, m->to_row[y + 1] - m->to_row[y], bucket);
 }
 
-void wavefront_grow_until(wavefront *m, int index) {
-    const uint16_t before = m->dist[index];
-    while (m->head < m->tail && m->dist[index] == before) grow_one(m);
+static void start_targets(wavefront *m, int bucket) {
+    for (int at = m->targets_at[m->level]; at >= 0; at = m->next_target[at])
+        m->bucket[bucket][m->count[bucket]++] = (uint16_t)at;
+    m->targets_at[m->level] = -1;
+}
+
+void wavefront_grow_until(wavefront *m, int x, int y) {
+    const int i = wave_index(x, y), far = m->to_column[x + 1] + m->to_row[y + 1];
+    lay_out(m, y + 1);
+    while (m->dist[i] + far > m->level) {
+        const int bucket = m->level % WAVE_BUCKETS;
+        if (m->level <= m->last_target) start_targets(m, bucket);
+        while (m->next < m->count[bucket]) expand(m, m->bucket[bucket][m->next++], bucket);
+        m->count[bucket] = m->next = 0;
+        m->level += 1;
+        if (m->level > m->last_target && !m->count[0] && !m->count[1] && !m->count[2]) m->level = 2 * WAVE_FREE;
+    }
 }
 
 int wavefront_ros_value(wavefront *m, int x, int y) {
-    const int i = wave_index(m, x, y);
-    if (m->dist[i] == WAVE_FREE || m->dist[i] == WAVE_BLOCKED) wavefront_grow_until(m, i);
-    if (m->dist[i] < WAVE_LIMIT) return m->dist[i];
-    return m->w * m->h + (m->dist[i] == WAVE_OBSTACLE ? 0 : 1);
+    if (wavefront_open(m, x, y)) {
+        const int d = wavefront_distance(m, x, y);
+        return d < WAVE_LIMIT ? d : m->w * m->h + 1;
+    }
+    // An obstacle counts as touched when the wave reaches a cell beside it.
+    const bool touched = (x > 0 && wavefront_distance(m, x - 1, y) < WAVE_LIMIT) ||
+                         (x < m->w - 1 && wavefront_distance(m, x + 1, y) < WAVE_LIMIT) ||
+                         (y > 0 && wavefront_distance(m, x, y - 1) < WAVE_LIMIT) ||
+                         (y < m->h - 1 && wavefront_distance(m, x, y + 1) < WAVE_LIMIT);
+    return m->w * m->h + (touched ? 0 : 1);
 }

@@ -27,21 +27,3 @@ double hull_clearance(const double pose[3], const double *cylinders, size_t n, d
     }
     return best;
 }
-
-/* splitmix64's output function (Steele, Lea, Flood 2014). */
-static uint64_t mix(uint64_t z) {
-    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
-    return z ^ (z >> 31);
-}
-
-double counter_normal(uint64_t seed, uint64_t stamp, uint64_t index) {
-    const uint64_t key = mix(seed * 0x9E3779B97F4A7C15u + mix(stamp + 0x632BE59BD9B4E019u));
-    int64_t sum = 0;
-    for (uint64_t half = 0; half < 2; ++half) {
-        const uint64_t bits = mix(key + (2 * index + half + 1) * 0x9E3779B97F4A7C15u);
-        sum += (int64_t)((bits & 0xFFFF) + ((bits >> 16) & 0xFFFF) + ((bits >> 32) & 0xFFFF) + (bits >> 48));
-    }
-    /* Mean 8 * 65535 / 2, variance 8 * (65536^2 - 1) / 12. */
-    return (double)(sum - 262140) * 1.8688123650118534e-05;
-}

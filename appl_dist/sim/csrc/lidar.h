@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 typedef struct {
-    size_t beams;
+    size_t beams; /* at least 4 */
     double angle_min, increment; /* beam i points along angle_min + i * increment, robot frame */
     double range_min, range_max;
     double noise_sd;

@@ -142,7 +142,8 @@ static void move(const vehicle_spec *spec, vehicle_state *state) {
 
 /* robot_localization's published twist in its steady state: wheel speed half trusted, IMU yaw rate almost fully. */
 static void filter_odometry(const vehicle_spec *spec, vehicle_state *state) {
-    const double noise = spec->odom_noise_w * counter_normal(state->seed, (uint64_t)state->time_ms, UINT64_C(1) << 32);
+    const uint64_t key = counter_key(state->seed, (uint64_t)state->time_ms);
+    const double noise = spec->odom_noise_w * counter_normal(key, UINT64_C(1) << 32);
     state->odom_v += spec->odom_gain_v * (state->wheel_v - state->odom_v);
     state->odom_w += spec->odom_gain_w * (state->w + noise - state->odom_w);
 }
