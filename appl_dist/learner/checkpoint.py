@@ -121,8 +121,11 @@ class Checkpoints:
         return None if path is None else load(path).restore(learner, rng)
 
     def close(self) -> None:
-        """Wait for the write under way; raises what it raised."""
-        self.wait()
+        """Wait for the write under way; raises what it raised, but only logs divergence."""
+        try:
+            self.wait()
+        except Diverged as error:
+            log.error("%s", error)
 
     def _write(self, path: Path, header: str) -> None:
         tmp = path.with_suffix(".tmp")

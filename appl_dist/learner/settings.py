@@ -52,7 +52,8 @@ class TD3Settings:
 class LearnerSettings:
     """The learner process around `TD3`.
 
-    gamma, n_step: of the n-step returns that replay computes. replay_capacity: transitions.
+    gamma, n_step: of the n-step returns that replay computes. priority_exponent: how strongly TD errors decide what
+    is sampled, 0 for uniformly. replay_capacity: transitions.
     samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many
     transitions either side may run ahead. min_transitions: collected before learning starts. Periods in
     seconds; detail_every in updates.
@@ -61,6 +62,7 @@ class LearnerSettings:
     td3: TD3Settings = field(default_factory=TD3Settings)
     gamma: float = 0.99
     n_step: int = 1
+    priority_exponent: float = 0.0
     replay_capacity: int = 1_000_000
     samples_per_insert: float = 256.0
     samples_tolerance: int = 1000
@@ -74,6 +76,7 @@ class LearnerSettings:
         for name, low, high in (
             ("gamma", 0.0, 1.0),
             ("n_step", 1, 100),
+            ("priority_exponent", 0.0, 1.0),
             ("replay_capacity", 100, 10**9),
             ("samples_per_insert", 0.1, 1e6),
             ("samples_tolerance", 1, 10**9),
