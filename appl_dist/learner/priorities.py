@@ -28,13 +28,13 @@ class Priorities:
         self._tree = np.zeros(2 * self._leaves)  # node i sums 2 i and 2 i + 1; untouched pages cost no memory
         self._largest = 1.0
 
-    def enter(self, rows: Rows) -> None:
-        """New transitions: as likely as the likeliest, so that each is seen soon."""
-        self._set(rows, np.full(len(rows), self._largest))
+    def enter(self, first: int, count: int) -> None:
+        """`count` new transitions from row `first` on: as likely as the likeliest, so that each is seen soon."""
+        self._fill(first, count, self._largest)
 
-    def leave(self, rows: Rows) -> None:
+    def leave(self, first: int, count: int) -> None:
         """These rows hold no transition any more."""
-        self._set(rows, np.zeros(len(rows)))
+        self._fill(first, count, 0.0)
 
     def update(self, rows: Rows, errors: FloatArray) -> None:
         """Take the TD errors (b,) of sampled rows; rows that have left meanwhile stay out."""
@@ -61,6 +61,14 @@ class Priorities:
     def _set(self, rows: Rows, values: NDArray[np.float64]) -> None:
         node = rows + self._leaves
         self._tree[node] = values
-        while node.size and node[0] > 1:
-            node = np.unique(node // 2)
+        for _ in range(self._leaves.bit_length() - 1):
+            node //= 2  # rows that meet are summed once each, to the same
             self._tree[node] = self._tree[2 * node] + self._tree[2 * node + 1]
+
+    def _fill(self, first: int, count: int, value: float) -> None:
+        low, high = first + self._leaves, first + count - 1 + self._leaves
+        self._tree[low : high + 1] = value
+        while low > 1:
+            low, high = low // 2, high // 2
+            below = self._tree[2 * low : 2 * high + 2]
+            np.add(below[::2], below[1::2], out=self._tree[low : high + 1])

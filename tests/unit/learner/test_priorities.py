@@ -14,7 +14,7 @@ def shares(rows: np.ndarray, count: int) -> np.ndarray:
 
 def test_rows_are_drawn_in_proportion_and_weighted_against_it() -> None:
     priorities = Priorities(5, alpha=0.5)
-    priorities.enter(np.arange(4))
+    priorities.enter(0, 4)
     priorities.update(np.arange(4), np.array([1, 4, 9, 16], np.float32) - np.float32(EPSILON))
     rows, weights = priorities.draw(100_000, 4, np.random.default_rng(0))
     np.testing.assert_allclose(shares(rows, 5), [0.1, 0.2, 0.3, 0.4, 0.0], atol=1e-4)  # |error| to the 0.5
@@ -24,10 +24,10 @@ def test_rows_are_drawn_in_proportion_and_weighted_against_it() -> None:
 
 def test_new_rows_are_as_likely_as_the_likeliest_and_left_rows_never_come_back() -> None:
     priorities = Priorities(8, alpha=1.0)
-    priorities.enter(np.array([0, 1]))
+    priorities.enter(0, 2)
     priorities.update(np.array([0]), np.array([3.0 - EPSILON], np.float32))
-    priorities.enter(np.array([6]))
-    priorities.leave(np.array([1]))
+    priorities.enter(6, 1)
+    priorities.leave(1, 1)
     priorities.update(np.array([1, 6]), np.array([100.0, 3.0 - EPSILON], np.float32))  # sampled before 1 left
     rows, _ = priorities.draw(10_000, 2, np.random.default_rng(0))
     np.testing.assert_allclose(shares(rows, 8), [0.5, 0, 0, 0, 0, 0, 0.5, 0], atol=1e-3)
