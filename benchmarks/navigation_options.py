@@ -1,8 +1,8 @@
 """Which additions to plain TD3 help on navigation? Equal transitions and equal processor time on a few BARN worlds.
 
 One process acts and learns in turns. Each run is scored without exploration on its own worlds, several times on the
-way; a trial that fails counts 70 s. Every finished run is a line in OUT/runs.jsonl and is not run again; `--report` only
-prints the table.
+way; a trial that fails counts 70 s. Every finished run is a line in OUT/runs.jsonl and is not run again; `--report`
+only prints the table.
 
     python benchmarks/navigation_options.py --worlds BARN [--variants plain mirror ...] [--seeds 3] [--transitions 2000]
 """
@@ -24,10 +24,11 @@ from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.exploration import ExplorationSettings, explore
 from appl_dist.actor.rollout import collect
 from appl_dist.actor.worldset import select_worlds
-from appl_dist.learner.replay import Batch, Replay
+from appl_dist.learner.augment import mirrored
+from appl_dist.learner.replay import Replay
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
-from appl_dist.spec import BEARING, OBSERVATION_SIZE, SCAN, FloatArray
+from appl_dist.spec import OBSERVATION_SIZE, FloatArray
 
 GAMMA, WARM_UP, SCORES, TRIALS, FAILED_S = 0.99, 300, 4, 4, 70.0
 EXPLORATION = ExplorationSettings(sigma_start=0.4, sigma_floor=0.1, uniform_fraction=0.1)
@@ -72,18 +73,6 @@ class Scaling:
 
     def __call__(self, observations: FloatArray) -> FloatArray:
         return (observations - self.mean) * self.factor
-
-
-def mirrored(batch: Batch, rng: np.random.Generator) -> Batch:
-    """The batch with a random half of it seen in a mirror: scan reversed, bearing negated, parameters unchanged."""
-    rows = rng.random(len(batch.returns)) < 0.5
-    both = []
-    for observations in (batch.observations, batch.next_observations):
-        observations = observations.copy()
-        observations[rows, SCAN] = observations[rows, SCAN][:, ::-1]
-        observations[rows, BEARING] *= -1.0
-        both.append(observations)
-    return replace(batch, observations=both[0], next_observations=both[1])
 
 
 class Trial:
@@ -175,25 +164,28 @@ def at_equal_time(run: dict[str, Any], processor_s: float) -> float:
 
 def table(runs: list[dict[str, Any]]) -> str:
     by = {name: [r for r in runs if r["variant"] == name] for name in VARIANTS}
-    plain = by["plain"]
-    budget = np.mean([r["scores"][-1]["processor_s"] for r in plain]) if plain else 0.0
+    budget = float(np.mean([r["scores"][-1]["processor_s"] for r in by["plain"]])) if by["plain"] else 0.0
     lines = [
-        f"| variant | seeds | time at the end, s (seeds) | mean of the last two scores | after {budget:.0f} s of processor "
-        "| success | return while training | processor s |",
-        "|---|---|---|---|---|---|---|---|",
+        "| variant | time at the end, s (seeds) | last two scores, ± standard error "
+        f"| after {budget:.0f} s of processor | success, % | return while training | processor s |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, found in by.items():
         if not found:
             continue
         last = [r["scores"][-1] for r in found]
+        times = [s["time_s"] for s in last]
         late = [np.mean([s["time_s"] for s in r["scores"][-2:]]) for r in found]
-        lines.append(
-            f"| {name} | {len(found)} | {np.mean([s['time_s'] for s in last]):.1f} "
-            f"({', '.join(format(s['time_s'], '.1f') for s in last)}) | {np.mean(late):.1f} ± "
-            f"{np.std(late) / max(len(late) - 1, 1) ** 0.5:.1f} | {np.mean([at_equal_time(r, budget) for r in found]):.1f} "
-            f"| {100 * np.mean([s['success'] for s in last]):.0f} % | {np.mean([r['training_return'] for r in found]):.1f} "
-            f"| {np.mean([s['processor_s'] for s in last]):.0f} |"
+        cells = (
+            name,
+            f"{np.mean(times):.1f} ({', '.join(f'{t:.1f}' for t in times)})",
+            f"{np.mean(late):.1f} ± {np.std(late) / max(len(late) - 1, 1) ** 0.5:.1f}",
+            f"{np.mean([at_equal_time(r, budget) for r in found]):.1f}",
+            f"{100 * np.mean([s['success'] for s in last]):.0f}",
+            f"{np.mean([r['training_return'] for r in found]):.1f}",
+            f"{np.mean([s['processor_s'] for s in last]):.0f}",
         )
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

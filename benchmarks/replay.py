@@ -3,8 +3,9 @@ and what the compact scan costs a policy.
 
     python benchmarks/replay.py [--transitions 200000] [--folder FOLDER]
 
-The peers get what their documentation recommends for long observations: stable-baselines3's memory-saving buffer, torchrl's
-memory-mapped storage with the next observation stored too. torchrl is needed for its row only: pip install torchrl.
+The peers get what their documentation recommends for long observations: stable-baselines3's memory-saving buffer,
+torchrl's memory-mapped storage, the next observation stored too. torchrl is needed for its row only: pip install
+torchrl.
 """
 
 from __future__ import annotations
@@ -51,9 +52,7 @@ def report(name: str, bytes_each: float, inserts_per_s: float, sample: Callable[
         sample()
         times.append(time.perf_counter() - began)
     ms = statistics.median(times) * 1e3
-    print(
-        f"{name:34s} {bytes_each:8.0f} {inserts_per_s:12,.0f} {ms:10.2f} {BATCH / ms * 1e3:12,.0f}", flush=True
-    )
+    print(f"{name:34s} {bytes_each:8.0f} {inserts_per_s:12,.0f} {ms:10.2f} {BATCH / ms * 1e3:12,.0f}", flush=True)
 
 
 def ours(folder: Path | None, transitions: int, n_step: int = 3, priority_exponent: float = 0.0) -> Replay:

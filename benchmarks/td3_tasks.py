@@ -194,7 +194,7 @@ def draw(tasks: list[Task], runs: Runs, path: Path) -> None:
 
 def table(tasks: list[Task], runs: Runs) -> str:
     lines = [
-        "| task | learner | seeds | last evaluation, IQM [95 %] | worst seed | mean over the run, IQM [95 %] | minutes |",
+        "| task | learner | seeds | last evaluation, IQM [95 %] | worst seed | mean of the run, IQM [95 %] | minutes |",
         "|---|---|---|---|---|---|---|",
     ]
     for task in tasks:

@@ -19,6 +19,7 @@ import numpy as np
 
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
+from appl_dist.learner.augment import mirrored
 from appl_dist.learner.checkpoint import Checkpoints
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.ingest import Ingest
@@ -85,6 +86,7 @@ class Learner:
         self.rng = np.random.default_rng([run.seed, 0x7D3])
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
+        self.checkpoints.reserve(self.td3)
         self.epoch = self._resume()
         self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
         self.statistics = EpisodeStatistics(run.failed_time_s)
@@ -194,6 +196,8 @@ class Learner:
 
     def _update(self) -> None:
         batch = self.replay.sample(self.settings.td3.batch_size, self.rng)
+        if self.settings.mirror:
+            batch = mirrored(batch, self.rng)
         detail = self.td3.updates % self.settings.detail_every == 0
         metrics = self.td3.update(batch, detail)
         if batch.rows is not None:

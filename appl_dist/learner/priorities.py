@@ -1,8 +1,8 @@
 """Prioritised experience replay (Schaul et al., ICLR 2016, proportional variant), over the rows of a replay ring.
 
 Comes in: which rows hold new or no transitions, and TD errors of those sampled. Goes out: rows drawn with probability
-p_i / sum p, p = (|error| + epsilon)^alpha, and the weights (N P)^-beta that undo the bias, scaled to at most 1. The sums
-are a binary tree in one array, so that 5 million rows are changed and drawn in some twenty vectorised steps.
+P = p_i / sum p, p = (|error| + epsilon)^alpha, and weights (N P)^-beta that undo the bias, scaled to at most 1. The
+sums are a binary tree in one array, so that 5 million rows are changed and drawn in some twenty vectorised steps.
 Priorities live in memory: a replay that is opened again starts with equal ones.
 """
 

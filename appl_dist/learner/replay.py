@@ -1,8 +1,8 @@
 """Replay memory: rollouts as runs in one ring, each observation once; n-step batches out.
 
 A rollout of n transitions takes n + 1 consecutive rows, the last holding only the final observation. The
-scan is fixed point of [-1, 1] (uint8: error at most 1/255, 3.9 mm of range; benchmarks/replay.py: it moves the
-actions of large-weighted networks by 0.008, less than the least exploration noise); the rest is float32. A row is 796 bytes, so 5 million
+scan is fixed point of [-1, 1] (uint8: error at most 1/255, 3.9 mm of range, which moves actions by less than
+the least exploration noise: benchmarks/replay.py); the rest is float32. A row is 796 bytes, so 5 million
 transitions take 4.1 GB. Rows are memory-mapped (`folder`) or plain memory (`folder` None).
 
 Durable against kill -9 at any instruction: evict (one counter), rows, index entry, then one aligned 8-byte

@@ -33,9 +33,7 @@ def kernels(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("kernel", ["native", "torch"])
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_adam_equals_torchs(
-    dtype: torch.dtype, threads: int, kernel: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_adam_equals_torchs(dtype: torch.dtype, threads: int, kernel: str, monkeypatch: pytest.MonkeyPatch) -> None:
     kernels(kernel, monkeypatch)
     net = network(dtype)
     adam = Adam(net, 1e-2, Workers(threads))
