@@ -227,7 +227,7 @@ class Learner:
 
     def _report_worlds(self) -> None:
         """Success and time of every training world so far: with the checkpoints, being two numbers a world."""
-        scalars = {}
+        scalars: dict[str, float] = {}
         for world, (_, success, time_s) in sorted(self.statistics.worlds().items()):
             scalars |= {f"world_success/{world}": success, f"world_time_s/{world}": time_s}
         if scalars:

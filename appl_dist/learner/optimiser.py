@@ -50,7 +50,7 @@ class Adam:
         self.steps, self.rate = 0, rate
         self.first, self.second = torch.zeros_like(net.flat), torch.zeros_like(net.flat)
         self._workers = workers
-        self._step = _adam_native if net.flat.device.type == "cpu" else _adam_torch
+        self._step: Callable[..., None] = _adam_native if net.flat.device.type == "cpu" else _adam_torch
         sizes = [len(part.master) for part in net.parts]
         self._pieces = []
         for part, m, v in zip(net.parts, self.first.split(sizes), self.second.split(sizes), strict=True):
@@ -64,7 +64,7 @@ class Adam:
 
 def average(target: FlatMLP, net: FlatMLP, tau: float, workers: Workers) -> None:
     """target <- tau net + (1 - tau) target (TD3 paper, Alg. 1), its cast copy refreshed."""
-    step = _average_native if net.flat.device.type == "cpu" else _average_torch
+    step: Callable[..., None] = _average_native if net.flat.device.type == "cpu" else _average_torch
     pieces = []
     for to, part in zip(target.parts, net.parts, strict=True):
         pieces += _cut(workers.threads, to.master, part.master, to.copy)
