@@ -1,4 +1,4 @@
-"""What bfloat16 hidden layers change in one TD3 step: values and gradients at the same parameters and batches, Pendulum.
+"""What bfloat16 hidden layers change in a TD3 step: values and gradients at the same parameters and batches, Pendulum.
 
 Trains in float32 on random actions, then computes targets, values and both gradients in float32 and in bfloat16.
 
