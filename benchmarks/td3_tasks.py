@@ -1,22 +1,29 @@
-"""Does the learner core learn what stable-baselines3's TD3 learns? Pendulum-v1, same hyper-parameters.
+"""Does the learner core learn what stable-baselines3's TD3 learns? Pendulum, Hopper and HalfCheetah, equal settings.
 
-One update per step for all; evaluation without noise on the same 10 starts. Writes curves.csv, curves.png
-and table.md to --out.
+Networks, rates, batch, noise, warm-up and one update per step are the same for all; evaluation is without noise, on
+the same starts each time. Curves are interquartile means over seeds with 95 % bootstrap bands, as rliable draws them
+(Agarwal et al., NeurIPS 2021). Every finished run is a line in OUT/runs.jsonl and is not run again; OUT gets curves.png
+and table.md.
 
-    python benchmarks/td3_tasks.py [--seeds 3] [--steps 6000] [--out outputs/td3_tasks]
+    python benchmarks/td3_tasks.py [--tasks Pendulum-v1 ...] [--seeds N] [--steps N] [--out outputs/td3_tasks]
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
+import itertools
+import json
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
+from scipy.stats import trim_mean
 from stable_baselines3 import TD3 as BaselineTD3
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
@@ -26,35 +33,67 @@ from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
 from appl_dist.spec import Rollout
 
-TASK, TORQUE = "Pendulum-v1", 2.0
-HIDDEN, RATE, BATCH, GAMMA, SIGMA, WARM_UP = (256, 256), 1e-3, 256, 0.98, 0.1, 500
-EVERY, EPISODES = 500, 10
-RUN = 10  # steps in one rollout; the pendulum never terminates, so every rollout is cut short
+HIDDEN, RATE, BATCH, SIGMA = (256, 256), 1e-3, 256, 0.1
+RUN = 10  # steps in one rollout given to replay, unless the episode ends before
+RESAMPLES = 2000
 
-Curve = list[tuple[int, float]]  # steps, mean return of the evaluation
+Curve = list[float]  # return of each evaluation, every task.every steps
 Act = Callable[[Any], Any]  # observation -> action in [-1, 1]
 
 
-def evaluate(act: Act) -> float:
+@dataclass(frozen=True)
+class Task:
+    """How long one run is, and how it is evaluated: every `every` steps on `episodes` starts."""
+
+    name: str
+    steps: int
+    seeds: int
+    every: int
+    episodes: int
+    warm_up: int
+    gamma: float
+
+    def make(self) -> gymnasium.Env[Any, Any]:
+        """The environment with actions in [-1, 1], as float32."""
+        env = gymnasium.wrappers.RescaleAction(gymnasium.make(self.name), -1.0, 1.0)
+        box = env.observation_space
+        assert box.shape is not None
+        wanted = gymnasium.spaces.Box(-np.inf, np.inf, box.shape, np.float32)
+        return gymnasium.wrappers.TransformObservation(env, np.float32, wanted)
+
+
+TASKS = (
+    Task("Pendulum-v1", 8_000, 5, 500, 10, 500, 0.98),
+    Task("Hopper-v5", 10_000, 3, 1_000, 5, 1_000, 0.99),
+    Task("HalfCheetah-v5", 10_000, 3, 1_000, 3, 1_000, 0.99),
+)
+
+
+def evaluate(task: Task, act: Act) -> float:
     """Mean return over the same starts each time."""
-    env = gymnasium.make(TASK)
+    env = task.make()
     total = 0.0
-    for seed in range(EPISODES):
+    for seed in range(task.episodes):
         obs, _ = env.reset(seed=10_000 + seed)
         over = False
         while not over:
-            obs, reward, terminal, truncated, _ = env.step(TORQUE * act(obs))
+            obs, reward, terminal, truncated, _ = env.step(act(obs))
             total += float(reward)
             over = terminal or truncated
-    return total / EPISODES
+    return total / task.episodes
 
 
-def ours(seed: int, steps: int, precision: str) -> Curve:
+def ours(task: Task, seed: int, precision: str) -> Curve:
+    env = task.make()
+    assert env.observation_space.shape is not None and env.action_space.shape is not None
+    (obs_size,), (action_size,) = env.observation_space.shape, env.action_space.shape
     settings = TD3Settings(hidden=HIDDEN, batch_size=BATCH, actor_lr=RATE, critic_lr=RATE, precision=precision)
-    learner = TD3(settings, 3, 1, seed=seed)
-    replay = Replay(None, steps + RUN, 1, GAMMA, observation_size=3, scan_size=0, action_size=1)
+    learner = TD3(settings, obs_size, action_size, seed=seed)
+    # Short rollouts have more last observations than the ring is laid out for.
+    replay = Replay(
+        None, 2 * task.steps, 1, task.gamma, observation_size=obs_size, scan_size=0, action_size=action_size
+    )
     rng = np.random.default_rng(seed)
-    env = gymnasium.make(TASK)
 
     def act(obs: Any) -> Any:
         return learner.actor.forward(torch.from_numpy(obs[None])).output[0, 0].tanh().numpy()
@@ -62,110 +101,149 @@ def ours(seed: int, steps: int, precision: str) -> Curve:
     curve: Curve = []
     obs, _ = env.reset(seed=seed)
     observations, actions, rewards = [obs], [], []
-    for step in range(1, steps + 1):
-        if step <= WARM_UP:
-            action = rng.uniform(-1, 1, 1).astype(np.float32)
+    for step in range(1, task.steps + 1):
+        if step <= task.warm_up:
+            action = rng.uniform(-1, 1, action_size).astype(np.float32)
         else:
-            action = np.clip(act(obs) + SIGMA * rng.standard_normal(1, np.float32), -1, 1)
-        obs, reward, _, truncated, _ = env.step(TORQUE * action)
+            action = np.clip(act(obs) + SIGMA * rng.standard_normal(action_size, np.float32), -1, 1)
+        obs, reward, terminal, truncated, _ = env.step(action)
         observations.append(obs)
         actions.append(action)
         rewards.append(float(reward))
-        if len(rewards) == RUN or truncated:
-            rollout = Rollout(np.stack(observations), np.stack(actions), np.array(rewards, np.float32), False, {})
+        if len(rewards) == RUN or terminal or truncated:
+            rollout = Rollout(np.stack(observations), np.stack(actions), np.array(rewards, np.float32), terminal, {})
             replay.insert(rollout, "task", replay.expected_seq("task"))
-            if truncated:
+            if terminal or truncated:
                 obs, _ = env.reset()
             observations, actions, rewards = [obs], [], []
-        if step > WARM_UP:
+        if step > task.warm_up:
             learner.update(replay.sample(BATCH, rng))
-        if step % EVERY == 0:
-            curve.append((step, evaluate(act)))
+        if step % task.every == 0:
+            curve.append(evaluate(task, act))
     return curve
 
 
-class _Evaluation(BaseCallback):
-    def __init__(self) -> None:
-        super().__init__()
-        self.curve: Curve = []
+def baseline(task: Task, seed: int) -> Curve:
+    curve: Curve = []
 
-    def _on_step(self) -> bool:
-        if self.num_timesteps % EVERY == 0:
-            self.curve.append(
-                (
-                    self.num_timesteps,
-                    evaluate(lambda o: self.model.predict(o, deterministic=True)[0] / TORQUE),
-                )
-            )
-        return True
+    class Evaluation(BaseCallback):
+        def _on_step(self) -> bool:
+            if self.num_timesteps % task.every == 0:
+                curve.append(evaluate(task, lambda o: self.model.predict(o, deterministic=True)[0]))
+            return True
 
-
-def baseline(seed: int, steps: int) -> Curve:
+    env = task.make()
+    assert env.action_space.shape is not None
+    size = env.action_space.shape[0]
     model = BaselineTD3(
-        "MlpPolicy", gymnasium.make(TASK), learning_rate=RATE, buffer_size=steps, learning_starts=WARM_UP,
-        batch_size=BATCH, gamma=GAMMA, train_freq=1, gradient_steps=1, seed=seed, device="cpu",
-        action_noise=NormalActionNoise(np.zeros(1), np.full(1, SIGMA)), policy_kwargs={"net_arch": [*HIDDEN]},
+        "MlpPolicy", env, learning_rate=RATE, buffer_size=task.steps, learning_starts=task.warm_up,
+        batch_size=BATCH, gamma=task.gamma, train_freq=1, gradient_steps=1, seed=seed, device="cpu",
+        action_noise=NormalActionNoise(np.zeros(size), np.full(size, SIGMA)), policy_kwargs={"net_arch": [*HIDDEN]},
     )  # fmt: skip
-    evaluation = _Evaluation()
-    model.learn(steps, callback=evaluation)
-    return evaluation.curve
+    model.learn(task.steps, callback=Evaluation())
+    return curve
 
 
-def draw(curves: dict[str, list[Curve]], path: Path) -> None:
+LEARNERS: dict[str, Callable[[Task, int], Curve]] = {
+    "stable-baselines3": baseline,
+    "appl_dist fp32": partial(ours, precision="fp32"),
+    "appl_dist bf16": partial(ours, precision="bf16"),
+}
+
+
+def interquartile_mean(curves: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Interquartile mean and 95 % band of curves (seeds, points): percentile bootstrap over seeds."""
+    picks = np.random.default_rng(seed).integers(len(curves), size=(RESAMPLES, len(curves)))
+    means = trim_mean(curves[picks], 0.25, axis=1)  # (resamples, points)
+    low, high = np.percentile(means, [2.5, 97.5], axis=0)
+    return trim_mean(curves, 0.25, axis=0), low, high
+
+
+Runs = dict[tuple[str, str], list[dict[str, Any]]]  # (task, learner) -> its finished runs
+
+
+def finished(path: Path) -> Runs:
+    runs: Runs = {}
+    for line in path.read_text().splitlines() if path.exists() else []:
+        run = json.loads(line)
+        runs.setdefault((run["task"], run["learner"]), []).append(run)
+    return runs
+
+
+def draw(tasks: list[Task], runs: Runs, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.5, 3.5), layout="constrained")
+    figure = Figure(figsize=(4.2 * len(tasks), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    for name, runs in curves.items():
-        steps = [s for s, _ in runs[0]]
-        returns = np.array([[r for _, r in run] for run in runs])
-        (line,) = axes.plot(steps, returns.mean(0), label=name, linewidth=1.5)
-        axes.fill_between(steps, returns.min(0), returns.max(0), color=line.get_color(), alpha=0.15)
-    axes.set_xlabel("environment steps")
-    axes.set_ylabel("return without noise")
-    axes.set_title(f"{TASK}: mean, lowest and highest of {len(runs)} seeds", fontsize=10)
-    axes.legend(frameon=False)
+    for axes, task in zip(figure.subplots(1, len(tasks), squeeze=False)[0], tasks, strict=True):
+        for name in LEARNERS:
+            curves = np.array([run["returns"] for run in runs.get((task.name, name), [])])
+            if not len(curves):
+                continue
+            middle, low, high = interquartile_mean(curves)
+            steps = task.every * np.arange(1, len(middle) + 1)
+            (line,) = axes.plot(steps, middle, label=f"{name} ({len(curves)} seeds)", linewidth=1.5)
+            axes.fill_between(steps, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+        axes.set_xlabel("environment steps")
+        axes.set_ylabel("return without noise")
+        axes.set_title(task.name, fontsize=10)
+        axes.legend(frameon=False, fontsize=8)
     figure.savefig(path, dpi=160)
 
 
+def table(tasks: list[Task], runs: Runs) -> str:
+    lines = [
+        "| task | learner | seeds | last evaluation, IQM [95 %] | worst seed | mean of the run, IQM [95 %] | minutes |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for task in tasks:
+        for name in LEARNERS:
+            found = runs.get((task.name, name), [])
+            if not found:
+                continue
+            curves = np.array([run["returns"] for run in found])
+            (last,), (last_low,), (last_high,) = interquartile_mean(curves[:, -1:])
+            (mean,), (low,), (high,) = interquartile_mean(curves.mean(1, keepdims=True))
+            minutes = np.mean([run["seconds"] for run in found]) / 60
+            lines.append(
+                f"| {task.name} | {name} | {len(found)} | {last:.0f} [{last_low:.0f}, {last_high:.0f}] "
+                f"| {curves[:, -1].min():.0f} | {mean:.0f} [{low:.0f}, {high:.0f}] | {minutes:.1f} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Pendulum-v1: the learner core against stable-baselines3.")
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=6000)
+    parser = argparse.ArgumentParser(description="Learning curves of the learner core and of stable-baselines3's TD3.")
+    names = [task.name for task in TASKS]
+    parser.add_argument("--tasks", nargs="+", choices=names, default=names)
+    parser.add_argument("--learners", nargs="+", choices=list(LEARNERS), default=list(LEARNERS))
+    parser.add_argument("--seeds", type=int, help="instead of 5 for Pendulum and 3 for the others")
+    parser.add_argument("--steps", type=int, help="instead of 8,000 for Pendulum and 10,000 for the others")
     parser.add_argument("--out", type=Path, default=Path("outputs/td3_tasks"))
     args = parser.parse_args()
     torch.set_num_threads(1)
-    learners: dict[str, Callable[[int], Curve]] = {
-        "stable-baselines3": lambda seed: baseline(seed, args.steps),
-        "appl_dist fp32": lambda seed: ours(seed, args.steps, "fp32"),
-        "appl_dist bf16": lambda seed: ours(seed, args.steps, "bf16"),
-    }
     args.out.mkdir(parents=True, exist_ok=True)
-    curves: dict[str, list[Curve]] = {name: [] for name in learners}
-    for seed in range(args.seeds):
-        for name, learn in learners.items():
-            curves[name].append(learn(seed))
-            print(f"seed {seed}  {name:18s} {curves[name][-1][-1][1]:8.1f}", flush=True)
-    with open(args.out / "curves.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["learner", "seed", "step", "return"])
-        for name, runs in curves.items():
-            writer.writerows([name, seed, *row] for seed, run in enumerate(runs) for row in run)
-    lines = [
-        "| learner | last evaluation, mean | lowest seed | highest seed | first above -200, steps |",
-        "|---|---|---|---|---|",
-    ]
-    for name, runs in curves.items():
-        last = [run[-1][1] for run in runs]
-        solved = [next((s for s, r in run if r > -200), None) for run in runs]
-        when = ", ".join("never" if s is None else str(s) for s in solved)
-        lines.append(f"| {name} | {np.mean(last):.0f} | {min(last):.0f} | {max(last):.0f} | {when} |")
-    table = "\n".join(lines) + "\n"
-    (args.out / "table.md").write_text(table, encoding="utf-8")
-    print(table)
-    draw(curves, args.out / "curves.png")
+    results = args.out / "runs.jsonl"
+    chosen = [task for task in TASKS if task.name in args.tasks]
+    if args.steps:
+        chosen = [Task(**{**vars(task), "steps": args.steps}) for task in chosen]
+    # Seed by seed, so that an early end leaves every learner with as many seeds.
+    most = max(args.seeds or task.seeds for task in chosen)
+    for seed, task, name in itertools.product(range(most), chosen, args.learners):
+        done = any(run["seed"] == seed for run in finished(results).get((task.name, name), []))
+        if done or seed >= (args.seeds or task.seeds):
+            continue
+        began = time.perf_counter()
+        returns = LEARNERS[name](task, seed)
+        run = {"task": task.name, "learner": name, "seed": seed, "returns": returns}
+        with open(results, "a", encoding="utf-8") as file:
+            file.write(json.dumps({**run, "seconds": time.perf_counter() - began}) + "\n")
+        print(f"{task.name} seed {seed}  {name:18s} {returns[-1]:8.1f}", flush=True)
+    runs = finished(results)
+    print(table(chosen, runs))
+    (args.out / "table.md").write_text(table(chosen, runs), encoding="utf-8")
+    draw(chosen, runs, args.out / "curves.png")
 
 
 if __name__ == "__main__":

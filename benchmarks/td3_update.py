@@ -1,9 +1,10 @@
 """TD3 updates per second on the paper's networks (729-512-512-512-8, batch 256) against stable-baselines3.
 
 Both sample from their own replay and take full gradient steps on the same number of threads, in turns of a
-few updates each so that a busy machine slows both alike. Reports the median of each and of their ratios.
+few updates each so that a busy machine slows both alike. Reports the median of each and of their ratios, by the
+clock and by the processor time spent, which other work on the machine disturbs less.
 
-    python benchmarks/td3_update.py [--rounds 20] [--threads 1]
+    python benchmarks/td3_update.py [--rounds 20] [--threads 1 2]
 """
 
 from __future__ import annotations
@@ -75,30 +76,43 @@ def baseline(data: list[Rollout]) -> Callable[[], None]:
     return lambda: model.train(gradient_steps=UPDATES, batch_size=256)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--threads", type=int, default=1)
-    args = parser.parse_args()
-    torch.set_num_threads(args.threads)
-    data = rollouts(np.random.default_rng(0))
+def compare(data: list[Rollout], threads: int, rounds: int) -> None:
+    """Print what each does per second on so many threads."""
+    torch.set_num_threads(threads)
     turns = {
         "stable-baselines3": baseline(data),
-        "appl_dist fp32": ours(data, "fp32", args.threads),
-        "appl_dist bf16": ours(data, "bf16", args.threads),
+        "appl_dist fp32": ours(data, "fp32", threads),
+        "appl_dist bf16": ours(data, "bf16", threads),
     }
     for turn in turns.values():
         turn()
-    rates: dict[str, list[float]] = {name: [] for name in turns}
-    for _ in range(args.rounds):
+    clock: dict[str, list[float]] = {name: [] for name in turns}
+    processor: dict[str, list[float]] = {name: [] for name in turns}
+    for _ in range(rounds):
         for name, turn in turns.items():
-            began = time.perf_counter()
+            began, used = time.perf_counter(), time.process_time()
             turn()
-            rates[name].append(UPDATES / (time.perf_counter() - began))
-    reference = rates["stable-baselines3"]
-    for name, rate in rates.items():
-        ratio = statistics.median(a / b for a, b in zip(rate, reference, strict=True))
-        print(f"{name:20s} {statistics.median(rate):7.1f} updates/s (best {max(rate):.1f})   x{ratio:.2f}")
+            clock[name].append((time.perf_counter() - began) / UPDATES)
+            processor[name].append((time.process_time() - used) / UPDATES)
+    print(f"{threads} thread(s)            updates/s   (best)   against stable-baselines3   processor ms   against")
+    for name in turns:
+        by_clock, by_processor = (
+            statistics.median(a / b for a, b in zip(times["stable-baselines3"], times[name], strict=True))
+            for times in (clock, processor)
+        )
+        rate, best = 1 / statistics.median(clock[name]), 1 / min(clock[name])
+        used = 1e3 * statistics.median(processor[name])
+        print(f"{name:20s} {rate:11.1f} {best:10.1f} {by_clock:20.2f} {used:20.1f} {by_processor:10.2f}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    args = parser.parse_args()
+    data = rollouts(np.random.default_rng(0))
+    for threads in args.threads:
+        compare(data, threads, args.rounds)
 
 
 if __name__ == "__main__":

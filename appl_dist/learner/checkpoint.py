@@ -28,7 +28,7 @@ from appl_dist.learner.td3 import TD3, Diverged
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1
+FORMAT = 2
 _PATTERN = "checkpoint-*.safetensors"
 
 
@@ -73,19 +73,22 @@ class Checkpoints:
         for left_over in self.folder.glob("checkpoint-*.tmp"):
             left_over.unlink()
 
+    def reserve(self, learner: TD3) -> None:
+        """Make the standing buffer now, so that the first save takes no longer than the others."""
+        for name, tensor in learner.state()[0].items():
+            self._buffers[name] = tensor.detach().to("cpu", copy=True)
+
     def save(self, learner: TD3, rng: np.random.Generator, extra: dict[str, Any]) -> None:
         """Take a snapshot now and write it in the background.
 
         `extra` holds JSON values. Raises what the previous write raised: UserError (no space) or Diverged.
         """
         self.wait()
+        if not self._buffers:
+            self.reserve(learner)
         tensors, numbers = learner.state()
         for name, tensor in tensors.items():
-            buffer = self._buffers.get(name)
-            if buffer is None:
-                self._buffers[name] = tensor.detach().to("cpu", copy=True)
-            else:
-                buffer.copy_(tensor)
+            self._buffers[name].copy_(tensor)
         header = json.dumps(
             {
                 "format": FORMAT,
@@ -121,8 +124,11 @@ class Checkpoints:
         return None if path is None else load(path).restore(learner, rng)
 
     def close(self) -> None:
-        """Wait for the write under way; raises what it raised."""
-        self.wait()
+        """Wait for the write under way; raises what it raised, but only logs divergence."""
+        try:
+            self.wait()
+        except Diverged as error:
+            log.error("%s", error)
 
     def _write(self, path: Path, header: str) -> None:
         tmp = path.with_suffix(".tmp")

@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
+from appl_dist.learner.augment import mirrored
 from appl_dist.learner.checkpoint import Checkpoints
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.ingest import Ingest
@@ -77,12 +79,16 @@ class Learner:
 
     def __init__(self, bus: Bus, run: Run, settings: LearnerSettings) -> None:
         self.run_info, self.settings = run, settings
-        self.replay = Replay(run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma)
+        self.replay = Replay(
+            run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma,
+            priority_exponent=settings.priority_exponent,
+        )  # fmt: skip
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
         self._started = time.monotonic()
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
+        self.checkpoints.reserve(self.td3)
         self.epoch = self._resume()
         self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
         self.statistics = EpisodeStatistics(run.failed_time_s)
@@ -122,17 +128,12 @@ class Learner:
     def step(self) -> bool:
         """One update if the limiter allows it, and whatever else is due; whether there was an update."""
         may_learn = self.limiter.may_sample(self.settings.td3.batch_size)
-        try:
+        with self._told_of_divergence():
             if may_learn:
                 self._update()
             self._publishing.run(self._publish)
             self._reporting.run(self._report)
             self._saving.run(self.save)
-        except Diverged as error:
-            raise UserError(
-                f"training diverged: {error}; the last good checkpoint is {self.checkpoints.newest() or 'none'}, "
-                "resume from it with other learner settings"
-            ) from None
         return may_learn
 
     def end(self) -> None:
@@ -143,8 +144,9 @@ class Learner:
         while time.monotonic() < deadline and any(m.role == "actor" and m.alive for m in self.roster.members()):
             time.sleep(0.05)
         self.version += 1
-        self.save()
-        self.checkpoints.wait()
+        with self._told_of_divergence():
+            self.save()
+            self.checkpoints.wait()
         self._report()
         counts, refused = self.server.counts, self.server.refused()
         log.info(
@@ -157,6 +159,17 @@ class Learner:
         """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
         self.checkpoints.save(self.td3, self.rng, self._counts())
         self._policy().save(self.run_info.folder / POLICY_FILE)
+        self._report_worlds()
+
+    @contextmanager
+    def _told_of_divergence(self) -> Iterator[None]:
+        try:
+            yield
+        except Diverged as error:
+            raise UserError(
+                f"training diverged: {error}; the last good checkpoint is {self.checkpoints.newest() or 'none'}, "
+                "resume from it with other learner settings"
+            ) from None
 
     def close(self) -> None:
         """Let go of the wire and the files."""
@@ -206,13 +219,19 @@ class Learner:
 
     def _update(self) -> None:
         batch = self.replay.sample(self.settings.td3.batch_size, self.rng)
+        if self.settings.mirror:
+            batch = mirrored(batch, self.rng)
         detail = self.td3.updates % self.settings.detail_every == 0
         metrics = self.td3.update(batch, detail)
+        if batch.rows is not None:
+            self.replay.prioritise(batch.rows, self.td3.errors.cpu().numpy())
         if detail:
             self._last.update(read(metrics))
 
     def _policy(self) -> PolicyFile:
         weights, biases = self.td3.policy_arrays()
+        if not all(np.isfinite(array).all() for array in (*weights, *biases)):
+            raise Diverged("the policy holds a value that is not finite")
         return PolicyFile(
             weights, biases, space=self.run_info.space, epoch=self.epoch, version=self.version,
             transitions=self.replay.transitions_total,
@@ -232,6 +251,14 @@ class Learner:
         self._status = status = self._status_now()
         scalars = {SCALARS[k]: float(status[k]) for k in SCALARS if status[k] is not None}
         self.metrics.write(self.replay.transitions_total, {**scalars, **self._named(self._last)})
+
+    def _report_worlds(self) -> None:
+        """Success and time of every training world so far: with the checkpoints, being two numbers a world."""
+        scalars: dict[str, float] = {}
+        for world, (_, success, time_s) in sorted(self.statistics.worlds().items()):
+            scalars |= {f"world_success/{world}": success, f"world_time_s/{world}": time_s}
+        if scalars:
+            self.metrics.write(self.replay.transitions_total, scalars)
 
     def _named(self, numbers: dict[str, float]) -> dict[str, float]:
         """Saturation by the parameter's name instead of its number."""

@@ -1,13 +1,12 @@
 """Multilayer perceptrons for TD3: one flat float32 vector each, and twins evaluated as one.
 
-All parameters of a network are views of one flat vector, so Adam, Polyak averaging, casting, norms and
-checkpoints are single operations on it. `heads` networks of one shape (the twin Q-functions) run as batched
-matrix products. With bfloat16 the hidden layers compute from a cast copy; the output layer, whose rounding
-would show in Q-values and actions, and everything that accumulates (parameters, gradients into Adam,
-targets) stay float32.
+All parameters of a network are views of one flat vector, so Adam, Polyak averaging, norms and checkpoints are
+single operations on it. `heads` networks of one shape (the twin Q-functions) run as batched matrix products.
+With bfloat16 the hidden layers compute from a cast copy; the output layer, whose rounding would show in
+Q-values and actions, and everything that accumulates (parameters, Adam's moments, targets) stay float32.
 
 The backward pass is written out (a chain of matrix products, tested against autograd): gradients go straight
-into the optimiser's vector, and the actor's loss is differentiated by the action alone, not by 729
+into the optimiser's vectors, and the actor's loss is differentiated by the action alone, not by 729
 observation entries and the critic's weights.
 """
 
@@ -19,23 +18,44 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+_NORM_EPSILON = 1e-5
+
 
 class Layer(NamedTuple):
     weight: Tensor  # (heads, in, out)
     bias: Tensor  # (heads, 1, out)
 
 
+class Part(NamedTuple):
+    """A stretch of a network's parameters that computes in one type."""
+
+    master: Tensor  # (n,) float32, a view of `flat`
+    grad: Tensor  # (n,) of the type it computes in
+    copy: Tensor | None  # (n,) `master` in that type; None where that is float32
+
+
+class Norm(NamedTuple):
+    """What layer normalisation leaves for the backward pass."""
+
+    input: Tensor  # (heads, b, out)
+    mean: Tensor  # (heads, b, 1)
+    scale: Tensor  # (heads, b, 1) 1 / standard deviation
+
+
 class Pass(NamedTuple):
     """What a forward pass leaves for the backward pass."""
 
     inputs: list[Tensor]  # of each layer, (heads, b, in)
+    norms: list[Norm]  # of each hidden layer; empty without layer normalisation
     output: Tensor  # (heads, b, out) float32
 
 
 class FlatMLP:
     """`heads` ReLU networks with layer widths `sizes` (input first), initialised like torch.nn.Linear.
 
-    `flat` (P,) float32 owns the numbers, `flat.grad` their gradients. After changing `flat` call `refresh`.
+    `flat` (P,) float32 owns the numbers. `parts` are the hidden layers and the output layer with their
+    gradients: what an optimiser steps through. After changing `flat` in another way call `refresh`.
+    `normalise` puts a layer normalisation (Ba et al., 2016; no gains) before every ReLU.
     """
 
     def __init__(
@@ -45,67 +65,84 @@ class FlatMLP:
         generator: torch.Generator,
         device: torch.device,
         dtype: torch.dtype,
+        normalise: bool = False,
     ) -> None:
-        self.sizes, self.heads, self.dtype = tuple(sizes), heads, dtype
-        pairs = list(zip(self.sizes[:-1], self.sizes[1:], strict=True))
-        self.flat = torch.zeros(sum(heads * (i + 1) * o for i, o in pairs), device=device)
-        self.grad = torch.zeros_like(self.flat)
-        self.flat.grad = self.grad
-        self.master = self._views(self.flat)
-        self._gradients = self._views(self.grad)
+        self.sizes, self.heads, self.normalise = tuple(sizes), heads, normalise
+        counts = [heads * (i + 1) * o for i, o in zip(self.sizes[:-1], self.sizes[1:], strict=True)]
+        self.flat = torch.zeros(sum(counts), device=device)
+        hidden, last = self.flat.split([sum(counts[:-1]), counts[-1]])
+        copy = None if dtype == torch.float32 else hidden.to(dtype)
+        self.parts = (
+            Part(hidden, torch.zeros_like(hidden, dtype=dtype), copy),
+            Part(last, torch.zeros_like(last), None),
+        )
+        self.master = self._layers(hidden, last)
+        self.layers = self._layers(hidden if copy is None else copy, last)
+        self.gradients = self._layers(*(part.grad for part in self.parts))
+        self.reset(generator)
+
+    def reset(self, generator: torch.Generator) -> None:
+        """Draw all parameters afresh."""
         for layer in self.master:
             bound = layer.weight.shape[1] ** -0.5
             for tensor in layer:
                 drawn = torch.rand(tensor.shape, generator=generator)  # on the CPU: the same for any device
                 tensor.copy_((2.0 * drawn - 1.0) * bound)
-        last = heads * (pairs[-1][0] + 1) * pairs[-1][1]
-        self._half = None if dtype == torch.float32 else self.flat[:-last].to(dtype)
-        hidden = self.master[:-1] if self._half is None else self._views(self._half)
-        self.layers = [*hidden, self.master[-1]]
+        self.refresh()
 
-    def _views(self, flat: Tensor) -> list[Layer]:
-        """Layer views of `flat`, in order, as many as it holds."""
+    def refresh(self) -> None:
+        """Bring the cast copy up to date with `flat`."""
+        for part in self.parts:
+            if part.copy is not None:
+                part.copy.copy_(part.master)
+
+    def gradient_norm(self) -> Tensor:
+        """The 2-norm of the whole gradient, 0-d."""
+        return torch.stack([part.grad.float().norm() for part in self.parts]).norm()
+
+    def _layers(self, hidden: Tensor, last: Tensor) -> list[Layer]:
+        """The layers as views of two vectors that hold them one after the other."""
         views = []
         at = 0
-        for i, o in zip(self.sizes[:-1], self.sizes[1:], strict=True):
-            if at == len(flat):
-                break
+        for number, (i, o) in enumerate(zip(self.sizes[:-1], self.sizes[1:], strict=True)):
+            flat, at = (last, 0) if number == len(self.sizes) - 2 else (hidden, at)
             middle, end = at + self.heads * i * o, at + self.heads * (i + 1) * o
             views.append(Layer(flat[at:middle].view(self.heads, i, o), flat[middle:end].view(self.heads, 1, o)))
             at = end
         return views
 
-    def refresh(self) -> None:
-        """Bring the cast copy up to date with `flat`."""
-        if self._half is not None:
-            self._half.copy_(self.flat[: len(self._half)])
-
     def forward(self, x: Tensor, heads: int | None = None) -> Pass:
         """Evaluate the first `heads` networks (all by default) on inputs x (b, in)."""
         h = self.heads if heads is None else heads
-        y = x.to(self.layers[0].weight.dtype).expand(h, *x.shape)
-        inputs = []
+        # Contiguous: a matrix product would copy the expanded view, and again in the backward pass.
+        y = x.to(self.layers[0].weight.dtype).expand(h, *x.shape).contiguous()
+        inputs, norms = [], []
         for layer in self.layers[:-1]:
             inputs.append(y)
-            y = torch.baddbmm(layer.bias[:h], y, layer.weight[:h]).relu_()
+            y = torch.baddbmm(layer.bias[:h], y, layer.weight[:h])
+            if self.normalise:
+                before = y
+                y, mean, scale = torch.native_layer_norm(before, before.shape[-1:], None, None, _NORM_EPSILON)
+                norms.append(Norm(before, mean, scale))
+            y = y.relu_()
         inputs.append(y.float())
         last = self.layers[-1]
-        return Pass(inputs, torch.baddbmm(last.bias[:h], inputs[-1], last.weight[:h]))
+        return Pass(inputs, norms, torch.baddbmm(last.bias[:h], inputs[-1], last.weight[:h]))
 
     def backward(self, done: Pass, gradient: Tensor) -> None:
-        """Fill `grad` for a loss whose gradient by the output is `gradient` (heads, b, out) float32."""
+        """Fill the gradients of a loss whose gradient by the output is `gradient` (heads, b, out) float32."""
         for i, g in self._descend(done, gradient):
-            self._gradients[i].weight.copy_(torch.bmm(done.inputs[i].transpose(1, 2), g))
-            torch.sum(g, 1, keepdim=True, dtype=torch.float32, out=self._gradients[i].bias)
+            torch.bmm(done.inputs[i].transpose(1, 2), g, out=self.gradients[i].weight)
+            torch.sum(g, 1, keepdim=True, out=self.gradients[i].bias)
 
     def input_gradient(self, done: Pass, gradient: Tensor, columns: int) -> Tensor:
-        """(b, columns) float32: the loss's gradient by the last `columns` inputs; leaves `grad` alone."""
+        """(b, columns) float32: the loss's gradient by the last `columns` inputs; leaves `gradients` alone."""
         *_, (_, g) = self._descend(done, gradient)
         weight = self.layers[0].weight[: len(g), -columns:]
         return torch.bmm(g, weight.transpose(1, 2)).float().sum(0)
 
     def _descend(self, done: Pass, gradient: Tensor) -> Iterator[tuple[int, Tensor]]:
-        """From the last layer to the first: its number, and the loss's gradient by its output before ReLU."""
+        """From the last layer to the first: its number, and the loss's gradient by its matrix product."""
         g = gradient
         for i in reversed(range(len(self.layers))):
             yield i, g
@@ -114,3 +151,8 @@ class FlatMLP:
                 g = torch.bmm(g, layer.weight[: len(g)].transpose(1, 2))
                 # Where ReLU gave 0, the next layer's input is 0 and nothing flows back.
                 g = torch.ops.aten.threshold_backward(g, done.inputs[i], 0).to(before.weight.dtype)
+                if self.normalise:
+                    n = done.norms[i - 1]
+                    g, _, _ = torch.ops.aten.native_layer_norm_backward(
+                        g, n.input, n.input.shape[-1:], n.mean, n.scale, None, None, [True, False, False]
+                    )

@@ -1,8 +1,8 @@
 """Replay memory: rollouts as runs in one ring, each observation once; n-step batches out.
 
 A rollout of n transitions takes n + 1 consecutive rows, the last holding only the final observation. The
-scan is fixed point of [-1, 1] (uint8: error at most 1/255, 3.9 mm of range, which moved the actions of a
-729-512-512-512-8 network by at most 0.005); the rest is float32. A row is 796 bytes, so 5 million
+scan is fixed point of [-1, 1] (uint8: error at most 1/255, 3.9 mm of range, which moves actions by less than
+the least exploration noise: benchmarks/replay.py); the rest is float32. A row is 796 bytes, so 5 million
 transitions take 4.1 GB. Rows are memory-mapped (`folder`) or plain memory (`folder` None).
 
 Durable against kill -9 at any instruction: evict (one counter), rows, index entry, then one aligned 8-byte
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
+from appl_dist.learner.priorities import Priorities, Rows
 from appl_dist.learner.storage import FolderClaim, MappedArray
 from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, FloatArray, Rollout
 
@@ -52,7 +53,8 @@ class Batch:
 
     observations, next_observations (b, obs); actions (b, act); returns (b,) the n-step reward sum
     sum_i gamma^i r_i; discounts (b,) what multiplies the value of next_observations: gamma^k for the k <= n
-    steps summed, 0 where the episode ended for good.
+    steps summed, 0 where the episode ended for good. From a prioritised replay also rows (b,) int64, to be given back
+    with their TD errors, and weights (b,) of each error in the critics' loss.
     """
 
     observations: FloatArray
@@ -60,6 +62,8 @@ class Batch:
     returns: FloatArray
     discounts: FloatArray
     next_observations: FloatArray
+    rows: Rows | None = None
+    weights: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,8 @@ class Stored:
 class Replay:
     """A ring of rollouts holding at most `capacity` transitions (fewer if rollouts average under 16 each).
 
-    One thread may insert while another samples. UserError if `folder` holds a replay of another shape, is
+    One thread may insert while another samples. priority_exponent 0 samples uniformly, above it by TD error
+    (`priorities.py`). UserError if `folder` holds a replay of another shape, is
     in use, or its disk is full.
     """
 
@@ -93,6 +98,7 @@ class Replay:
         scan_size: int = LIDAR_BEAMS,
         action_size: int = 8,
         scan_dtype: str = "uint8",
+        priority_exponent: float = 0.0,
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: got {capacity} transitions; at least 1")
@@ -102,6 +108,8 @@ class Replay:
             raise ValueError(f"gamma: got {gamma}; allowed 0..1")
         if scan_dtype not in ("uint8", "uint16"):
             raise ValueError(f"scan_dtype: got {scan_dtype!r}; allowed uint8, uint16")
+        if not 0.0 <= priority_exponent <= 1.0:
+            raise ValueError(f"priority_exponent: got {priority_exponent}; allowed 0..1")
         self.capacity, self.n_step, self.gamma = capacity, n_step, gamma
         self._scan_size, self._scan_dtype = scan_size, np.dtype(scan_dtype)
         self._levels = float(np.iinfo(self._scan_dtype).max)
@@ -134,6 +142,11 @@ class Replay:
         self._write_lock = threading.Lock()  # one insert at a time
         self._lock = threading.Lock()  # what sampling reads is still, held for the copy only
         self._recover()
+        self._priorities = Priorities(self._rows_count, priority_exponent) if priority_exponent else None
+        if self._priorities is not None:
+            for number in range(int(self._header.data["evicted"][0]), self.rollouts_total):
+                entry = self._index.data[number % len(self._index.data)]
+                self._priorities.enter(int(entry["start"]) % self._rows_count, int(entry["length"]))
         if self._claim is not None:
             self._claim.complete()
 
@@ -272,6 +285,8 @@ class Replay:
             self._rows.data[begin : begin + len(rows)] = rows
             self._index.data[entry] = (seq, start + gap, self._total + n, n, slot)
             self._header.data["inserted"][0] = self.rollouts_total + 1  # the commit
+            if self._priorities is not None:
+                self._priorities.enter(begin, n)
             self._head = start + gap + len(rows)
             self._tail = self._start_of(int(self._header.data["evicted"][0]))
             self._total += n
@@ -285,6 +300,8 @@ class Replay:
             self._actors.data["floor"][old["actor"]] = old["seq"] + 1  # before the index can forget it
             evicted += 1
             self._header.data["evicted"][0] = evicted
+            if self._priorities is not None:
+                self._priorities.leave(int(old["start"]) % self._rows_count, int(old["length"]))
             self._stored -= int(old["length"])
             surplus -= int(old["length"])
             self._tail = self._start_of(evicted) if evicted < inserted else self._head
@@ -295,14 +312,18 @@ class Replay:
     # ---- out
 
     def sample(self, batch: int, rng: np.random.Generator) -> Batch:
-        """`batch` transitions drawn uniformly with replacement; IndexError if there are none."""
+        """`batch` transitions drawn with replacement; IndexError if there are none."""
         if batch < 1:
             raise ValueError(f"batch: got {batch}; at least 1")
         steps = np.arange(self.n_step)
         with self._lock:
             if not self._stored:
                 raise IndexError("replay is empty")
-            first = self._draw(batch, rng)
+            weights = None
+            if self._priorities is None:
+                first = self._draw(batch, rng)
+            else:
+                first, weights = self._priorities.draw(batch, self._stored, rng)
             data = self._rows.data
             now = data.take(first)
             left = now["left"].astype(np.int64)  # (b,)
@@ -312,15 +333,23 @@ class Replay:
             else:  # past the end: the last reward again, times 0 below
                 rewards = data["reward"][first[:, None] + np.minimum(steps, taken[:, None] - 1)]
             then = data.take(first + taken)
-        weights = np.where(steps < taken[:, None], self.gamma**steps, 0.0)  # (b, n)
+        powers = np.where(steps < taken[:, None], self.gamma**steps, 0.0)  # (b, n)
         ended = (now["terminal"] != 0) & (taken == left)
         return Batch(
             observations=self._unpack(now),
             actions=np.ascontiguousarray(now["action"]),
-            returns=(rewards * weights).sum(1).astype(np.float32),
+            returns=(rewards * powers).sum(1).astype(np.float32),
             discounts=np.where(ended, 0.0, self.gamma**taken).astype(np.float32),
             next_observations=self._unpack(then),
+            rows=None if weights is None else first,
+            weights=weights,
         )
+
+    def prioritise(self, rows: Rows, errors: FloatArray) -> None:
+        """Take the TD errors (b,) of a sampled batch; without priorities there is nothing to do."""
+        if self._priorities is not None:
+            with self._lock:
+                self._priorities.update(rows, errors)
 
     def _draw(self, batch: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """(b,) rows, uniform over stored transitions: uniform over live rows, last observations rejected."""

@@ -14,7 +14,7 @@ class TD3Settings:
 
     `precision` bf16 computes the hidden layers in bfloat16 (3 to 4 times faster where the CPU has AMX),
     fp32 everything in float32; auto takes bf16 where the hardware multiplies it natively. `threads` is
-    torch's, for the process. n-step and gamma belong to replay.
+    torch's, for the process. `layer_norm` normalises the critics' hidden layers. n-step and gamma belong to replay.
     """
 
     hidden: tuple[int, ...] = (512, 512, 512)
@@ -25,6 +25,7 @@ class TD3Settings:
     target_noise: float = 0.2
     target_noise_clip: float = 0.5
     policy_delay: int = 2
+    layer_norm: bool = False
     precision: str = "auto"
     device: str = "cpu"
     threads: int = 1
@@ -51,15 +52,18 @@ class TD3Settings:
 class LearnerSettings:
     """The learner process around `TD3`.
 
-    gamma, n_step: of the n-step returns that replay computes. replay_capacity: transitions.
-    samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how many
-    transitions either side may run ahead. min_transitions: collected before learning starts. Periods in
+    gamma, n_step: of the n-step returns that replay computes. priority_exponent: how strongly TD errors decide what
+    is sampled, 0 for uniformly. mirror: learn from half of each batch as seen in a mirror. replay_capacity:
+    transitions. samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how
+    many transitions either side may run ahead. min_transitions: collected before learning starts. Periods in
     seconds; detail_every in updates.
     """
 
     td3: TD3Settings = field(default_factory=TD3Settings)
     gamma: float = 0.99
     n_step: int = 1
+    priority_exponent: float = 0.0
+    mirror: bool = False
     replay_capacity: int = 1_000_000
     samples_per_insert: float = 256.0
     samples_tolerance: int = 1000
@@ -73,6 +77,7 @@ class LearnerSettings:
         for name, low, high in (
             ("gamma", 0.0, 1.0),
             ("n_step", 1, 100),
+            ("priority_exponent", 0.0, 1.0),
             ("replay_capacity", 100, 10**9),
             ("samples_per_insert", 0.1, 1e6),
             ("samples_tolerance", 1, 10**9),

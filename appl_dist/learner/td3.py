@@ -18,6 +18,7 @@ from torch import Tensor
 
 from appl_dist.errors import UserError
 from appl_dist.learner.networks import FlatMLP
+from appl_dist.learner.optimiser import Adam, Workers, average
 from appl_dist.learner.replay import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.spec import FloatArray
@@ -45,13 +46,14 @@ class TD3:
         actor_sizes = (obs_size, *settings.hidden, action_size)
         critic_sizes = (obs_size + action_size, *settings.hidden, 1)
         self.actor = FlatMLP(actor_sizes, 1, initial, self.device, dtype)
-        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype)
+        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype, settings.layer_norm)
         self.actor_target = copy.deepcopy(self.actor)
         self.critic_target = copy.deepcopy(self.critic)
-        # Fused: one pass over memory, which is what an Adam step costs.
-        self.actor_adam = torch.optim.Adam([self.actor.flat], settings.actor_lr, fused=True)
-        self.critic_adam = torch.optim.Adam([self.critic.flat], settings.critic_lr, fused=True)
+        self._workers = Workers(settings.threads)
+        self.actor_adam = Adam(self.actor, settings.actor_lr, self._workers)
+        self.critic_adam = Adam(self.critic, settings.critic_lr, self._workers)
         self.updates = 0
+        self.errors = torch.empty(0)
         log.info("TD3 on %s, %s, %d thread(s)", self.device, self.precision, settings.threads)
 
     def update(self, batch: Batch, detail: bool = False) -> Metrics:
@@ -78,9 +80,13 @@ class TD3:
         targets = self.targets(returns, discounts, next_obs)  # (b,)
         done = self.critic.forward(torch.cat((obs, action), 1))
         error = done.output[..., 0] - targets  # (2, b)
-        self.critic.backward(done, (error * (2.0 / len(targets)))[..., None])
-        self._step(self.critic, self.critic_adam)
+        by_output = error * (2.0 / len(targets))
+        if batch.weights is not None:
+            by_output *= torch.from_numpy(batch.weights).to(self.device)
+        self.critic.backward(done, by_output[..., None])
+        self.critic_adam.step()
         self.updates += 1
+        self.errors = error.abs().amax(0)  # (b,) of the last batch, for a prioritised replay
         metrics: Metrics = {
             "loss/critic": error.square().mean(1).sum(),  # the sum of both networks' mean squared errors
             "q/mean": done.output.mean(),
@@ -103,7 +109,7 @@ class TD3:
         down = torch.full_like(value.output, -1.0 / len(obs))  # the loss is -mean Q
         by_action = self.critic.input_gradient(value, down, chosen.shape[1])
         self.actor.backward(done, (by_action * (1.0 - chosen.square()))[None])
-        self._step(self.actor, self.actor_adam)
+        self.actor_adam.step()
         return -value.output.mean()
 
     def targets(self, returns: Tensor, discounts: Tensor, next_obs: Tensor) -> Tensor:
@@ -116,23 +122,17 @@ class TD3:
         q = self.critic_target.forward(torch.cat((next_obs, action), 1)).output[..., 0]
         return returns + discounts * q.amin(0)
 
-    @staticmethod
-    def _step(net: FlatMLP, adam: torch.optim.Adam) -> None:
-        adam.step()
-        net.refresh()
-
     def _average_targets(self) -> None:
-        for target, net in ((self.actor_target, self.actor), (self.critic_target, self.critic)):
-            target.flat.lerp_(net.flat, self.settings.polyak)
-            target.refresh()
+        average(self.actor_target, self.actor, self.settings.polyak, self._workers)
+        average(self.critic_target, self.critic, self.settings.polyak, self._workers)
 
     def _detail(self, obs: Tensor) -> Metrics:
         saturated = (self.actor.forward(obs).output[0].tanh().abs() > 0.99).float().mean(0)  # (act,)
         return {
             "norm/actor": self.actor.flat.norm(),
             "norm/critic": self.critic.flat.norm(),
-            "norm/actor_gradient": self.actor.grad.norm(),
-            "norm/critic_gradient": self.critic.grad.norm(),
+            "norm/actor_gradient": self.actor.gradient_norm(),
+            "norm/critic_gradient": self.critic.gradient_norm(),
             **{f"saturation/{i}": share for i, share in enumerate(saturated)},
         }
 
@@ -149,12 +149,11 @@ class TD3:
         tensors = {
             f"{name}.flat": getattr(self, name).flat for name in ("actor", "critic", "actor_target", "critic_target")
         }
-        for name, adam, net in self._optimisers():
-            for key in ("exp_avg", "exp_avg_sq", "step"):
-                empty = torch.zeros(()) if key == "step" else torch.zeros_like(net.flat)
-                tensors[f"{name}.{key}"] = adam.state[net.flat].get(key, empty)
+        for name, adam in self._optimisers():
+            tensors |= {f"{name}.first": adam.first, f"{name}.second": adam.second}
         tensors["noise"] = self.noise.get_state()
-        return tensors, {"updates": self.updates, "sizes": [self.actor.sizes, self.critic.sizes]}
+        steps = [adam.steps for _, adam in self._optimisers()]
+        return tensors, {"updates": self.updates, "steps": steps, "sizes": [self.actor.sizes, self.critic.sizes]}
 
     def load_state(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
         """Continue from what `state` gave; ValueError if the networks differ."""
@@ -166,18 +165,15 @@ class TD3:
             net: FlatMLP = getattr(self, name)
             net.flat.copy_(tensors[f"{name}.flat"])
             net.refresh()
-        for name, adam, net in self._optimisers():
-            adam.state[net.flat] = {
-                key: tensors[f"{name}.{key}"].to(self.device, copy=True) for key in ("step", "exp_avg", "exp_avg_sq")
-            }
+        for (name, adam), steps in zip(self._optimisers(), numbers["steps"], strict=True):
+            adam.first.copy_(tensors[f"{name}.first"])
+            adam.second.copy_(tensors[f"{name}.second"])
+            adam.steps = int(steps)
         self.noise.set_state(tensors["noise"].cpu())
         self.updates = int(numbers["updates"])
 
-    def _optimisers(self) -> tuple[tuple[str, torch.optim.Adam, FlatMLP], ...]:
-        return (
-            ("actor_adam", self.actor_adam, self.actor),
-            ("critic_adam", self.critic_adam, self.critic),
-        )
+    def _optimisers(self) -> tuple[tuple[str, Adam], ...]:
+        return (("actor_adam", self.actor_adam), ("critic_adam", self.critic_adam))
 
 
 def read(metrics: Metrics) -> dict[str, float]:

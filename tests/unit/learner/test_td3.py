@@ -10,6 +10,8 @@ import torch
 
 from appl_dist.actor.policy import MLPPolicy
 from appl_dist.errors import UserError
+from appl_dist.learner import td3
+from appl_dist.learner.networks import FlatMLP
 from appl_dist.learner.replay import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3, Diverged, read
@@ -137,6 +139,10 @@ def test_target_smoothing_is_clipped_noise_around_the_target_policy() -> None:
     torch.testing.assert_close(exact, torch.full((3,), 0.25))
 
 
+def layers(net: FlatMLP, flat: torch.Tensor) -> list:
+    return net._layers(*flat.split([len(part.master) for part in net.parts]))
+
+
 def test_one_update_equals_autograd_and_adam() -> None:
     learner = TD3(dataclasses.replace(SMALL, policy_delay=1, target_noise=0.0), 4, 2)
     batch = random_batch(np.random.default_rng(0))
@@ -151,7 +157,7 @@ def test_one_update_equals_autograd_and_adam() -> None:
         return x
 
     def q(flat: torch.Tensor, head: int, a: torch.Tensor) -> torch.Tensor:
-        return forward(learner.critic._views(flat), torch.cat((obs, a), 1), head)[:, 0]
+        return forward(layers(learner.critic, flat), torch.cat((obs, a), 1), head)[:, 0]
 
     arrays = (batch.returns, batch.discounts, batch.next_observations)
     y = copy.deepcopy(learner).targets(*(torch.from_numpy(a) for a in arrays))
@@ -159,7 +165,7 @@ def test_one_update_equals_autograd_and_adam() -> None:
     loss = errors.square().mean(1).sum()
     critic.grad = torch.autograd.grad(loss, critic)[0]
     torch.optim.Adam([critic], SMALL.critic_lr).step()
-    chosen = forward(learner.actor._views(actor), obs, 0).tanh()
+    chosen = forward(layers(learner.actor, actor), obs, 0).tanh()
     actor_loss = -q(critic.detach(), 0, chosen).mean()
     actor.grad = torch.autograd.grad(actor_loss, actor)[0]
     torch.optim.Adam([actor], SMALL.actor_lr).step()
@@ -170,8 +176,76 @@ def test_one_update_equals_autograd_and_adam() -> None:
     # Adam's first step is lr * sign(gradient): compare where the gradient is not rounding noise.
     for flat, gradient, net in ((critic, critic.grad, learner.critic), (actor, actor.grad, learner.actor)):
         clear = gradient.abs() > 1e-6
-        torch.testing.assert_close(net.grad, gradient, atol=1e-6, rtol=1e-3)
+        found_gradient = torch.cat([part.grad for part in net.parts])
+        torch.testing.assert_close(found_gradient, gradient, atol=1e-6, rtol=1e-3)
         torch.testing.assert_close(net.flat[clear], flat.detach()[clear], atol=1e-4, rtol=1e-4)
+
+
+def scalar_learner() -> TD3:
+    """One number for state, action and hidden unit, with parameters that fit on paper.
+
+    pi'(s) = tanh(0.5 relu(s)); Q'_1(s, a) = 2 relu(s + a) + 1; Q'_2(s, a) = 3 relu(s - a).
+    """
+    settings = dataclasses.replace(SMALL, hidden=(1,), policy_delay=2, polyak=0.1)
+    learner = TD3(settings, 1, 1, seed=4)
+    for name, parameters in (
+        ("actor_target", [1.0, 0.0, 0.5, 0.0]),
+        # weights (head, in, out) and biases of the hidden layer, then of the last
+        ("critic_target", [1.0, 1.0, 1.0, -1.0, 0.0, 0.0, 2.0, 3.0, 1.0, 0.0]),
+    ):
+        net: FlatMLP = getattr(learner, name)
+        net.flat.copy_(torch.tensor(parameters))
+        net.refresh()
+    return learner
+
+
+def test_a_worked_example_of_the_papers_target() -> None:
+    noise = torch.randn((2, 1), generator=torch.Generator().manual_seed(5))[:, 0].tolist()
+    found = scalar_learner().targets(torch.tensor([0.5, -1.0]), torch.tensor([0.9, 0.0]), torch.tensor([[0.8], [0.3]]))
+    wanted = []
+    for reward, discount, s, epsilon in zip([0.5, -1.0], [0.9, 0.0], [0.8, 0.3], noise, strict=True):
+        a = math.tanh(0.5 * s) + min(max(0.2 * epsilon, -0.5), 0.5)
+        a = min(max(a, -1.0), 1.0)
+        wanted.append(reward + discount * min(2 * max(s + a, 0.0) + 1, 3 * max(s - a, 0.0)))
+    assert found.tolist() == pytest.approx(wanted, rel=1e-6)
+    assert wanted[0] != 0.5 and wanted[1] == -1.0
+
+
+def test_a_worked_example_of_delay_and_averaging() -> None:
+    learner = scalar_learner()
+    rng = np.random.default_rng(0)
+    learner.update(random_batch(rng, obs=1, act=1))
+    assert learner.actor_target.flat.tolist() == [1.0, 0.0, 0.5, 0.0]  # an odd update: the critics only
+    learner.update(random_batch(rng, obs=1, act=1))
+    wanted = [0.1 * new + 0.9 * old for new, old in zip(learner.actor.flat.tolist(), [1.0, 0.0, 0.5, 0.0], strict=True)]
+    assert learner.actor_target.flat.tolist() == pytest.approx(wanted, rel=1e-6)
+
+
+def test_weights_scale_each_error_in_the_critics_gradient() -> None:
+    batch = random_batch(np.random.default_rng(0))
+    weights = np.zeros(64, np.float32)
+    weights[:32] = 2.0  # twice the first half: the mean over 64 is that over the first 32 alone
+    weighted, half = TD3(SMALL, 4, 2), TD3(SMALL, 4, 2)
+    weighted.noise.manual_seed(0)
+    weighted.update(dataclasses.replace(batch, weights=weights))
+    half.noise.manual_seed(0)
+    half.update(Batch(*(a[:32] for a in (
+        batch.observations, batch.actions, batch.returns, batch.discounts, batch.next_observations))))  # fmt: skip
+    for a, b in zip(weighted.critic.parts, half.critic.parts, strict=True):
+        torch.testing.assert_close(a.grad, b.grad, atol=1e-6, rtol=1e-4)
+    assert weighted.errors.shape == (64,)
+
+
+def test_every_tensor_stays_on_the_device_and_nothing_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The meta device holds no numbers: a tensor left on the CPU, or one read by the host, is an error.
+    monkeypatch.setattr(td3, "_usable", lambda _: torch.device("meta"))
+    monkeypatch.setattr(td3.torch, "Generator", lambda *_: torch.default_generator)
+    learner = TD3(dataclasses.replace(SMALL, precision="bf16"), 4, 2)
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        metrics = learner.update(random_batch(rng), detail=True)
+    assert {m.device.type for m in metrics.values()} == {"meta"}
+    assert learner.errors.device.type == "meta"
 
 
 def test_the_exported_policy_is_the_actor() -> None:
