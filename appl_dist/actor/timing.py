@@ -13,7 +13,8 @@ class TimingSettings:
     """Periods and delays in whole milliseconds; computing times in milliseconds of work.
 
     A control cycle takes `control_base_ms + steps * control_us_per_step / 1000` and a plan `plan_ms`, times
-    `cpu_factor`: what the real C++ needs on one core of a server, scaled to the computer it runs on.
+    `cpu_factor`: what the real C++ needs on one core of a server, scaled to the computer it runs on. Three is what
+    the recorded Gazebo runs are met with (benchmarks/gazebo_population.py): simulator and planner shared cores there.
     """
 
     scan_period_ms: int = 20
