@@ -13,11 +13,17 @@ ROLES = {
     "train": "run a learner and its actors on this machine, then evaluate the policy",
     "learner": "run only the learner; actors anywhere connect to wire.endpoint",
     "actor": "run one actor: appl-dist actor wire.endpoint=tcp/HOST:7447",
+    "actors": "run several, supervised: appl-dist actors actors=16 actor.run=RUN (or wire.endpoint=…)",
+    "launch": "run on a cluster: appl-dist launch launch=slurm launch.actors=500",
+    "status": "ask a run how it is: appl-dist status wire.endpoint=… (--here: and its actors on this host)",
     "evaluate": "compare policies on worlds: appl-dist evaluate +evaluation.methods.mine=FILE",
+    "replay": "drive trials of an evaluation again, film them: appl-dist replay FOLDER METHOD/WORLD/TRIAL --film t.gif",
+    "report": "one page, tables and figures of evaluations: appl-dist report FOLDER…",
+    "keys": "make certificates and passwords for a run on several machines: appl-dist keys FOLDER",
+    "ledger": "compare what actors sent with what is in replay: appl-dist ledger RUN [SPOOL_FOLDER …]",
     "worlds": "check, generate, count or draw BARN worlds",
-    "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE…",
+    "conformance": "replay reference vectors of the ROS planner: appl-dist conformance FILE… [--arithmetic fast]",
 }
-CONFIGURED = ("train", "learner", "actor", "evaluate")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -48,15 +54,36 @@ def _run(role: str, rest: list[str]) -> int:
         from appl_dist.sim.cli import worlds_main
 
         return worlds_main(rest)
+    if role == "replay":
+        from appl_dist.launch.replay import replay_main
+
+        return replay_main(rest)
+    if role == "report":
+        from appl_dist.launch.replay import report_main
+
+        return report_main(rest)
     if role == "conformance":
         from appl_dist.planner.conformance import main as conformance
 
         return conformance(rest)
+    if role == "keys":
+        from appl_dist.launch.keys import main as keys
+
+        return keys(rest)
+    if role == "ledger":
+        from appl_dist.launch.ledger import main as ledger
+        from appl_dist.launch.view import make_console
+
+        return ledger(rest, make_console())
     if any(a in ("-h", "--help") for a in rest):
         print(_help(role))
         return 0
     from appl_dist.config import load
 
+    if role == "status":
+        from appl_dist.launch.status import HERE, status
+
+        return status(load([a for a in rest if a != HERE]), here=HERE in rest)
     settings = load(rest)
     run: Callable[..., int]
     if role == "train":
@@ -65,8 +92,12 @@ def _run(role: str, rest: list[str]) -> int:
         from appl_dist.launch.roles import learner as run
     elif role == "actor":
         from appl_dist.launch.roles import actor as run
+    elif role == "actors":
+        from appl_dist.launch.fleet import actors as run
+    elif role == "launch":
+        from appl_dist.launch.cluster import launch as run
     else:
-        from appl_dist.launch.roles import evaluate as run
+        from appl_dist.launch.evaluation import evaluate as run
     return run(settings)
 
 

@@ -10,6 +10,7 @@ import copy
 import dataclasses
 import functools
 import json
+import logging
 import os
 import re
 import typing
@@ -25,25 +26,29 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from appl_dist.actor.exploration import ExplorationSettings
-from appl_dist.actor.protocol import PROTOCOLS
+from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.reward import RewardSettings
 from appl_dist.actor.timing import TimingSettings
 from appl_dist.errors import UserError
+from appl_dist.launch.settings import LaunchSettings
 from appl_dist.learner.settings import LearnerSettings
 from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings
 from appl_dist.spec import SPACES
 from appl_dist.wire.settings import WireSettings
 
+log = logging.getLogger(__name__)
 T = TypeVar("T")
 CONFIG_OPTION = "--config="
+CONFIG_FILE = "config.json"  # in a run's folder
+CHANGEABLE = ("run.transitions", "run.minutes", "run.resume", "actors", "serial", "wire", "launch", "evaluation")
 _PACKAGE = Path(__file__).resolve().parent
 CONF = next((p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir()), _PACKAGE / "conf")
 
 
 @dataclass(frozen=True)
 class RunSettings:
-    """folder: "" makes runs/<date>-<time>; resume: an earlier run's folder to continue.
+    """folder: "" makes runs/<date>-<time>; resume: an earlier run's folder to continue, with its configuration.
 
     The run ends at `transitions`, or after `minutes` of wall-clock if that comes first (0: no such limit).
     """
@@ -79,25 +84,35 @@ class EnvSettings:
 
 @dataclass(frozen=True)
 class ActorSettings:
-    """id: "" takes actor-<host>-<pid>; spool: "" keeps unsent rollouts under the run folder, or ./spool/<id>."""
+    """Who an actor is and where it keeps unsent rollouts.
 
+    run: the run's folder, if this machine sees it: there the actor finds the learner's address and its spool, and
+        without an id takes the first of actor-0, actor-1, … that no live process has.
+    id: "" otherwise takes actor-<host>-<pid>. spool: "" is spool/<id> in the run's folder, or ./spool/<run>/<id>.
+    patience_min: an actor that has heard of no learner for so long ends, min; what is in its spool stays.
+    """
+
+    run: str = ""
     id: str = ""
     spool: str = ""
     spool_rollouts: int = 1000
     spool_megabytes: int = 256
+    patience_min: float = 60.0
 
 
 @dataclass(frozen=True)
 class EvaluationSettings:
     """methods: policies by label; a policy is "default", a policy file, "set:name=value,…" or a published set.
 
-    worlds: a split, as in `world`. workers: 0 takes one per core.
+    worlds: a split, as in `world`. workers: 0 takes one per core. spread: instead hand the trials to the actors that
+    connect to wire.endpoint, on this machine or others.
     """
 
     methods: dict[str, str] = field(default_factory=dict)
     worlds: str = "test"
     trials: int = 10
     workers: int = 0
+    spread: bool = False
     folder: str = ""
 
 
@@ -113,7 +128,7 @@ class Settings:
     lidar: LidarSettings
     timing: TimingSettings
     planner: PlannerSettings
-    protocol: str
+    protocol: Protocol
     env: EnvSettings
     reward: RewardSettings
     explore: ExplorationSettings
@@ -121,6 +136,7 @@ class Settings:
     learner: LearnerSettings
     wire: WireSettings
     evaluation: EvaluationSettings
+    launch: LaunchSettings
 
     def __post_init__(self) -> None:
         _allowed("run.transitions", self.run.transitions, 1, 10**10)
@@ -131,22 +147,26 @@ class Settings:
         _allowed("env.decision_period_s", self.env.decision_period_s, 0.1, 60.0)
         _allowed("actor.spool_rollouts", self.actor.spool_rollouts, 1, 10**6)
         _allowed("actor.spool_megabytes", self.actor.spool_megabytes, 1, 10**6)
+        _allowed("actor.patience_min", self.actor.patience_min, 0.1, 10**6)
         _allowed("evaluation.trials", self.evaluation.trials, 1, 10_000)
         _allowed("evaluation.workers", self.evaluation.workers, 0, 1024)
         if not self.evaluation.methods:
             raise ValueError("evaluation.methods: got none; expected at least one, as in +evaluation.methods.mine=FILE")
         _one_of("env.space", self.env.space, SPACES)
-        _one_of("protocol", self.protocol, PROTOCOLS)
         if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):
             raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
 
 
 def load(overrides: Sequence[str]) -> Settings:
-    """Settings of conf/config.yaml, or of a frozen `--config=FILE`, with command-line overrides. Raises UserError."""
+    """Settings of conf/config.yaml with command-line overrides; of a frozen `--config=FILE` with overrides; or, with
+    `run.resume=FOLDER`, of that run with those overrides that a continued run may change. Raises UserError.
+    """
     files = [o.removeprefix(CONFIG_OPTION) for o in overrides if o.startswith(CONFIG_OPTION)]
     rest = [o for o in overrides if not o.startswith(CONFIG_OPTION)]
     if not files:
-        return from_dict(compose_dict(rest))
+        plain = compose_dict(rest)
+        resume = plain["run"]["resume"]
+        return from_dict(_continued(Path(resume), plain, rest) if resume else plain)
     try:
         frozen = json.loads(Path(files[-1]).read_text())
         return from_dict(OmegaConf.to_container(OmegaConf.merge(frozen, OmegaConf.from_dotlist(rest))))  # type: ignore[arg-type]
@@ -154,6 +174,27 @@ def load(overrides: Sequence[str]) -> Settings:
         raise UserError(f"--config: {files[-1]} cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise UserError(f"--config: {files[-1]} is damaged: {error}") from None
+
+
+def _continued(folder: Path, given: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """The configuration frozen in `folder`, with what `overrides` name, and a continued run may change, as `given`."""
+    file = folder / CONFIG_FILE
+    try:
+        frozen = json.loads(file.read_text())
+    except OSError as error:
+        raise UserError(f"run.resume: {file} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UserError(f"run.resume: {file} is damaged: {error}") from None
+    for key in (o.lstrip("~+").partition("=")[0] for o in overrides):
+        if key not in CHANGEABLE and key.partition(".")[0] not in CHANGEABLE:
+            log.warning("%s is ignored: a continued run keeps its configuration, except %s", key, ", ".join(CHANGEABLE))
+            continue
+        *groups, last = key.split(".")
+        source, target = given, frozen
+        for group in groups:
+            source, target = source[group], target.setdefault(group, {})
+        target[last] = source[last]
+    return dict(frozen)
 
 
 def compose_dict(overrides: Sequence[str]) -> dict[str, Any]:
@@ -173,8 +214,14 @@ def compose_dict(overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def from_dict(plain: dict[str, Any]) -> Settings:
-    """Settings of a composed or received configuration, every field checked. Raises UserError."""
+    """Settings of a composed or received configuration, every field checked. Raises UserError.
+
+    `protocol` may also be the name of one, as in `--config=FILE protocol=challenge`.
+    """
     try:
+        if isinstance(plain.get("protocol"), str):
+            _one_of("protocol", plain["protocol"], PROTOCOLS)
+            plain = plain | {"protocol": dataclasses.asdict(PROTOCOLS[plain["protocol"]])}
         node = OmegaConf.merge(OmegaConf.structured(_schema(Settings)), plain)
         checked: Any = OmegaConf.to_container(node, resolve=True)
         return _build(Settings, checked)
@@ -249,6 +296,10 @@ def _sentence(error: BaseException) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     key = getattr(cause, "full_key", None)
     first = " ".join(line.strip() for line in str(cause).splitlines()[:1])
+    choice = re.search(r"Could not find '(\w+)/([^']*)'", first)
+    if choice:
+        allowed = ", ".join(sorted(f.stem for f in (CONF / choice[1]).glob("*.yaml")))
+        return f"{choice[1]}: got {choice[2]!r}; allowed {allowed}"
     first = re.sub(r"Could not override '([^']+)'\.?", r"\1: no such key.", first)
     first = re.sub(r"Key '[^']+' is not in struct", "no such key; `appl-dist train --help` lists them", first)
     first = re.sub(r"Ambiguous value for argument '([^']+)'", r"\1: a value with commas needs quotes: key='a,b'", first)

@@ -83,11 +83,11 @@ def measure(timing: str, options: argparse.Namespace) -> dict[str, Any]:
     worlds = tuple({w.index: w for w in train + test}.values())
     make_runner = NavigationRunner(worlds, tuple(methods.values()), environment)
     path = Path(options.folder) / f"trials-{timing}.csv"
-    with TrialLog(path, Trial, make_runner.config_hash(options.seed)) as log:
+    with TrialLog(path, Trial, protocol.name, make_runner.config_hash()) as log:
 
         def run(wanted: Sequence[tuple[str, int, int]], title: str) -> list[Trial]:
             jobs = [_job(methods[label], w, k, options.seed) for label, w, k in wanted]
-            with show_progress(len(jobs), f"{timing}: {title}") as on_trial:
+            with show_progress(len(jobs), f"{timing}: {title}", done=len(log.matching(jobs))) as on_trial:
                 return run_jobs(jobs, make_runner, workers=options.workers, log=log, on_trial=on_trial)
 
         failed_s = protocol.failed_time_s

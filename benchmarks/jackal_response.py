@@ -45,7 +45,7 @@ class Bench:
     """One simulator; commands come fresh every millisecond, so they never time out."""
 
     def __init__(self) -> None:
-        self.simulator = Simulator(RobotSettings(odom_noise_w_radps=0.0))
+        self.simulator = Simulator(RobotSettings(odom_noise_w_radps=0.0, odom_noise_yaw_rad=0.0))
 
     def start(self, heading: float = 0.0, obstacle: tuple[float, float] | None = None) -> None:
         """At rest at the origin, perhaps with one cylinder at x, y."""

@@ -1,9 +1,10 @@
 """Time of the planner's stages and of its full cycle, beside the real C++ on one core (docs: planner.md figures).
 
-    python benchmarks/planner_cycle.py [--seconds 20] [--parameters random]
+    python benchmarks/planner_cycle.py [--seconds 20] [--parameters random] [--arithmetic fast]
 
-Drives the noise-free robot through generated BARN worlds and times every call from Python, so the call itself
-(about a microsecond) is included. "per simulated second" = 20 local updates, plans and controls, 10 global updates.
+Drives the noise-free robot through generated BARN worlds and takes the processor time of every call from Python, so
+the call itself (about a microsecond) is included. Run it with PYTHONPATH of another checkout to compare the two.
+"per simulated second" = 20 local updates, plans and controls, 10 global updates.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from appl_dist.planner.ideal_drive import cast_scan, drive
 from appl_dist.planner.navigator import Navigator
+from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.sim.generate import generate_worlds
 from appl_dist.spec import DWA
 
@@ -25,25 +27,27 @@ REAL_RANDOM_CONTROL_MS = 2.65
 START_WORLD = np.array([-2.0, 3.0, 0.0])
 
 
-def run(world_index: int, seconds: float, random: bool, times: dict[str, list[float]]) -> None:
+def run(
+    world_index: int, seconds: float, random: bool, settings: PlannerSettings, times: dict[str, list[float]]
+) -> None:
     """One drive; appends the ms of every call to `times`."""
     rng = np.random.default_rng(world_index)
     world = generate_worlds(world_index + 1)[world_index]
     cylinders = world.cylinders - START_WORLD
-    navigator = Navigator()
+    navigator = Navigator(settings)
     navigator.reset(np.array([0.0, 10.0, 0.0]))
     pose, twist = np.array([0.0, 0.0, 1.57]), np.zeros(2)
     for k in range(int(seconds * 20)):
         if random and k % 40 == 0:
             navigator.set_parameters(DWA.to_values(rng.uniform(-1, 1, 8)))
         scan = cast_scan(cylinders, pose, 0.055, 720, 2.35619)
-        now = time.perf_counter()
+        now = time.thread_time()
 
         def lap(stage: str) -> None:
             nonlocal now
-            after = time.perf_counter()
+            after = time.thread_time()
             times[stage].append((after - now) * 1e3)
-            now = time.perf_counter()
+            now = time.thread_time()
 
         navigator.add_scan(scan, pose)
         lap("scan")
@@ -66,10 +70,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="simulated, a world")
     parser.add_argument("--worlds", type=int, nargs="*", default=[0, 90, 170, 250])
     parser.add_argument("--parameters", choices=["default", "random"], default="default")
+    parser.add_argument("--arithmetic", choices=["exact", "fast"], default="exact")
     args = parser.parse_args()
+    settings = PlannerSettings() if args.arithmetic == "exact" else PlannerSettings(arithmetic=args.arithmetic)
     times: dict[str, list[float]] = defaultdict(list)
     for index in args.worlds:
-        run(index, args.seconds, args.parameters == "random", times)
+        run(index, args.seconds, args.parameters == "random", settings, times)
     real = dict(REAL_MS)
     if args.parameters == "random":
         real["control"] = REAL_RANDOM_CONTROL_MS

@@ -62,12 +62,13 @@ def test_a_library_stays_in_its_place(library: str, allowed: tuple[str, ...]) ->
 @pytest.mark.parametrize(
     ("part", "never"),
     [
-        ("sim", ("planner", "actor", "learner", "wire", "evaluate", "launch", "config")),
-        ("planner", ("sim", "actor", "learner", "wire", "evaluate", "launch", "config")),
-        ("wire", ("sim", "planner", "actor.env", "learner", "evaluate", "launch", "config")),
-        ("learner", ("sim", "planner", "actor", "evaluate", "launch", "config")),
-        ("actor", ("learner", "evaluate", "launch", "config")),
-        ("evaluate", ("learner", "wire", "launch", "config")),
+        ("sim", ("planner", "actor", "learner", "wire", "evaluate", "report", "launch", "config")),
+        ("planner", ("sim", "actor", "learner", "wire", "evaluate", "report", "launch", "config")),
+        ("wire", ("sim", "planner", "actor.env", "learner", "evaluate", "report", "launch", "config")),
+        ("learner", ("sim", "planner", "actor", "evaluate", "report", "launch", "config")),
+        ("actor", ("learner", "evaluate", "report", "launch", "config")),
+        ("evaluate", ("learner", "wire", "launch", "config", "report")),
+        ("report", ("learner", "wire", "launch", "config")),
     ],
 )
 def test_dependencies_point_one_way(part: str, never: tuple[str, ...]) -> None:

@@ -7,7 +7,7 @@ is one trial of a protocol in one BARN world.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.actor.loop import NavigationLoop
+from appl_dist.actor.monitor import TrialMonitor
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.reward import RewardSettings, reward
 from appl_dist.actor.timing import TimingSettings
@@ -73,6 +74,7 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (OBSERVATION_SIZE,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(space),), np.float32)
         self._order: list[int] = []
+        self.on_sample: Callable[[], None] | None = None  # told whenever the lidar has fired
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -91,14 +93,19 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.loop.reset(self.world, int(self.np_random.integers(2**31)), start, self._goal)
         self._clock_start_ms: int | None = 0 if self.protocol.clock_starts_after_m == 0.0 else None
         self._success = self._over = False
-        self.min_clearance_m = math.inf
+        self.monitor = TrialMonitor()
+        self.monitor.sample(0, self.loop.simulator)
         self._apply(self.space.defaults)
         return self._observe(self.loop.scan), self._info()
 
     def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        return self.step_values(self.space.to_values(action))
+
+    def step_values(self, values: NDArray[np.float64]) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        """`step` with parameter values (n,) instead of an action: repeats a recorded trial to the bit."""
         if self._over:
             raise RuntimeError("step() after the end of an episode: call reset() first")
-        self._apply(self.space.to_values(action))
+        self._apply(values)
         before = self.loop.simulator.position
         self.loop.advance(self.period_ms, self._ended)
         self._ended()
@@ -130,8 +137,9 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Whether the trial is over now; latches success and the start of the clock."""
         simulator, protocol = self.loop.simulator, self.protocol
         x, y = simulator.position
-        clearance_m = simulator.clearance_m
-        self.min_clearance_m = min(self.min_clearance_m, clearance_m)
+        self.monitor.sample(self.loop.now_ms, simulator)
+        if self.on_sample is not None:
+            self.on_sample()
         if self._clock_start_ms is None:
             moved_m = math.hypot(x - self._start_xy[0], y - self._start_xy[1])
             if moved_m >= protocol.clock_starts_after_m:
@@ -171,7 +179,8 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
             "rolled_over": simulator.rolled_over,
             "world": self.world.index,
             "distance_m": simulator.distance_m,
-            "min_clearance_m": self.min_clearance_m,
+            "min_clearance_m": self.monitor.min_clearance_m,
+            "collisions": self.monitor.collisions,
             "recoveries": self.loop.navigator.recoveries,
             "parameters": self.parameters,
         }

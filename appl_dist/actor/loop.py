@@ -72,8 +72,12 @@ class NavigationLoop:
                 t.control_period_ms,
             )
         ]
+        filter_phase_ms = int(rng.integers(t.scan_period_ms)) if t.random_phases else 0
+        self._odometry_delay_ms = t.odometry_delay_ms + filter_phase_ms
+        # A scan waits for the transform of its stamp.
+        self._scan_delay_ms = max(t.scan_delay_ms, self._odometry_delay_ms)
         self.simulator.reset(world, seed, start)
-        self._origin = float(start[0]), float(start[1])
+        self.origin = float(start[0]), float(start[1])
         self.navigator.reset(np.array([goal[0] - start[0], goal[1] - start[1], 0.0]))
         self.now_ms = 0
         self._command = (0.0, 0.0)
@@ -134,11 +138,11 @@ class NavigationLoop:
     def _sense(self) -> None:
         """The lidar fires and odometry is published, on the same 50 Hz grid."""
         pose, (x, y, yaw), twist = self.simulator.readings()
-        pose_odom = (x - self._origin[0], y - self._origin[1], yaw)
+        pose_odom = (x - self.origin[0], y - self.origin[1], yaw)
         now_ms, t = self.now_ms, self.timing
         self._newest = _Stamp(now_ms, pose, pose_odom)
-        self._scans.append((now_ms + t.scan_delay_ms, self._newest))
-        self._estimates.append((now_ms + t.odometry_delay_ms, pose_odom, twist))
+        self._scans.append((now_ms + self._scan_delay_ms, self._newest))
+        self._estimates.append((now_ms + self._odometry_delay_ms, pose_odom, twist))
         self._scan_due_ms = now_ms + t.scan_period_ms
 
     def _estimate(self) -> tuple[Array, Array]:

@@ -26,6 +26,7 @@ from appl_dist.wire.codec import encode_rollout
 log = logging.getLogger(__name__)
 
 HOLD_S = 0.02
+FULL_S = 0.5  # between looks at `stop` while the spool is full
 
 
 class Weights(Protocol):
@@ -39,7 +40,7 @@ class Sink(Protocol):
 
     def __len__(self) -> int: ...
 
-    def put(self, blob: bytes) -> int | None: ...
+    def put(self, blob: bytes, timeout_s: float | None = None, beyond: bool = False) -> int | None: ...
 
 
 class Explorer:
@@ -60,6 +61,11 @@ class Explorer:
         self._rng = rng
         self._held: tuple[int, int] = (-1, -1)
         self._policy: MLPPolicy | None = None
+
+    @property
+    def held(self) -> tuple[int, int]:
+        """(epoch, version) of the policy in use; (-1, -1) before any has arrived."""
+        return self._held
 
     @property
     def version(self) -> int:
@@ -104,27 +110,37 @@ def act(
     hold: asked before every episode; true while the learner wants no more for now.
     """
     made = decisions = 0
-    world = -1
+    world = -1  # none: held back
+
+    def tell() -> None:
+        beat({"world": world, "policy_version": explorer.version, "transitions": decisions, "pending": len(sink)})
 
     def choose(observation: FloatArray) -> FloatArray:
         nonlocal decisions
         decisions += 1
-        beat({"world": world, "policy_version": explorer.version, "transitions": decisions, "pending": len(sink)})
+        tell()
         return explorer.choose(observation)
 
     env.reset(seed=seed)
     while not stop():
         if hold():
-            beat({"world": -1, "policy_version": explorer.version, "transitions": decisions, "pending": len(sink)})
+            world = -1
+            tell()
             time.sleep(HOLD_S)
             continue
         world = env.next_world()
-        version = explorer.version
+        epoch, version = explorer.held
         rollout = collect(env, choose, world=world, stop=stop)
         if rollout is None:
             break
-        info = {**rollout.info, "policy_version": max(version, 0)}
-        sink.put(encode_rollout(replace(rollout, info=info)))
+        info = {**rollout.info, "policy_epoch": max(epoch, 0), "policy_version": max(version, 0)}
+        blob = encode_rollout(replace(rollout, info=info))
+        while sink.put(blob, FULL_S) is None:
+            world = -1
+            tell()
+            if stop():
+                sink.put(blob, 0.0, beyond=True)
+                break
         made += len(rollout)
     return made
 

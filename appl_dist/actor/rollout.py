@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.spec import FloatArray, Rollout
@@ -20,20 +21,33 @@ class Policy(Protocol):
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What one trial came to. time_s is the protocol's clock, also of a trial that failed."""
+    """What one trial came to. time_s is the protocol's clock, also of a trial that failed.
+
+    parameters: (decisions, n) planner parameter values in force. trajectory: (samples, 6), `monitor.COLUMNS`.
+    """
 
     world: int
-    seed: int | None
+    seed: int
     success: bool
     time_s: float
-    collided: bool
+    collisions: int
     rolled_over: bool
     timeout: bool
     distance_m: float
     min_clearance_m: float
     return_: float
-    decisions: int
     recoveries: int
+    parameters: NDArray[np.float64]
+    trajectory: NDArray[np.float64]
+    digest: str  # of the trajectory
+
+    @property
+    def decisions(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def collided(self) -> bool:
+        return self.collisions > 0
 
 
 def collect(
@@ -69,26 +83,55 @@ def collect(
     )
 
 
-def run_episode(
-    env: NavigationEnv, policy: Policy, *, seed: int | None = None, world: int | None = None
+def run_episode(env: NavigationEnv, policy: Policy, *, seed: int, world: int) -> EpisodeResult:
+    """One trial of `policy`, without exploration. A fixed set is in force as given, not rounded to an action."""
+    fixed = getattr(policy, "values", None)
+
+    def step(observation: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        if fixed is not None:
+            return env.step_values(fixed)
+        return env.step(np.clip(policy.act(observation), -1.0, 1.0).astype(np.float32))
+
+    return _drive(env, step, seed, world)
+
+
+def repeat_episode(env: NavigationEnv, parameters: NDArray[np.float64], *, seed: int, world: int) -> EpisodeResult:
+    """The trial whose parameter values (decisions, n) were `parameters`: no policy is needed, only the same code."""
+    rows = iter(parameters)
+    try:
+        return _drive(env, lambda _: env.step_values(next(rows)), seed, world)
+    except StopIteration:
+        raise ValueError(f"parameters: {len(parameters)} decisions did not end the trial") from None
+
+
+def _drive(
+    env: NavigationEnv,
+    step: Callable[[FloatArray], tuple[FloatArray, float, bool, bool, dict[str, Any]]],
+    seed: int,
+    world: int,
 ) -> EpisodeResult:
-    """One trial of `policy`, without exploration."""
-    rollout = collect(env, policy.act, seed=seed, world=world)
-    assert rollout is not None  # without `stop` an episode has at least one decision
-    i = rollout.info
+    observation, info = env.reset(seed=seed, options={"world": world})
+    parameters, return_ = [], 0.0
+    terminated = truncated = False
+    while not (terminated or truncated):
+        observation, reward, terminated, truncated, info = step(observation)
+        parameters.append(info["parameters"])
+        return_ += reward
     return EpisodeResult(
-        world=i["world"],
+        world=info["world"],
         seed=seed,
-        success=i["success"],
-        time_s=i["time_s"],
-        collided=i["collision"],
-        rolled_over=i["rolled_over"],
-        timeout=not rollout.terminal,
-        distance_m=i["distance_m"],
-        min_clearance_m=i["min_clearance_m"],
-        return_=i["return"],
-        decisions=len(rollout),
-        recoveries=i["recoveries"],
+        success=info["success"],
+        time_s=info["time_s"],
+        collisions=info["collisions"],
+        rolled_over=info["rolled_over"],
+        timeout=truncated,
+        distance_m=info["distance_m"],
+        min_clearance_m=info["min_clearance_m"],
+        return_=return_,
+        recoveries=info["recoveries"],
+        parameters=np.array(parameters),
+        trajectory=env.monitor.trajectory,
+        digest=env.monitor.digest(),
     )
 
 

@@ -2,7 +2,8 @@
 
 One file a rollout, named by sequence number and written atomically, so a killed actor loses only the episode
 it was driving. Bounded in count and bytes: a full spool blocks `put`, which is how a slow or absent learner
-holds its actors back. One process at a time owns a folder.
+holds its actors back. One process at a time owns a folder. `produced.log` beside them accounts for every
+rollout that ever was in it (`produced.py`).
 
 A file is a CRC-32 and the blob. Files are not synced: they outlive the process, not a power cut; a file that
 one tore is found by its checksum at the next start and dropped.
@@ -17,11 +18,15 @@ import os
 import struct
 import threading
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from appl_dist.actor.produced import ProducedLog
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
+from appl_dist.wire import receipt as receipts
+from appl_dist.wire.receipt import Receipt
 
 log = logging.getLogger(__name__)
 
@@ -29,20 +34,34 @@ _SUFFIX = ".rollout"
 _CRC = struct.Struct("<I")
 
 
+class SpoolInUse(UserError):
+    """A running process has the folder."""
+
+
 class Spool:
     """A durable bounded queue of blobs numbered 0, 1, 2, …; first in, first out.
 
     owner: whose rollouts these are, such as "RUN/ACTOR"; a folder of another owner is refused.
-    UserError: folder taken by a running process, of another owner, not writable or out of space.
+    receipt: what the log notes of a blob.
+    UserError: folder taken by a running process (SpoolInUse), of another owner, not writable or out of space.
     """
 
-    def __init__(self, folder: str | Path, owner: str, max_count: int = 256, max_bytes: int = 256 << 20) -> None:
+    def __init__(
+        self,
+        folder: str | Path,
+        owner: str,
+        max_count: int = 256,
+        max_bytes: int = 256 << 20,
+        receipt: Callable[[bytes], Receipt] = receipts.of_blob,
+    ) -> None:
         if max_count < 1 or max_bytes < 1:
             raise ValueError(f"max_count, max_bytes: got {max_count}, {max_bytes}; allowed 1 and up")
         self.folder = Path(folder)
         self.owner = owner
         self._max_count = max_count
         self._max_bytes = max_bytes
+        self._receipt = receipt
+        self._full = False  # and said so
         self._changed = threading.Condition()
         self._stopped = False
         self._reason = ""
@@ -53,11 +72,21 @@ class Spool:
             raise self._cannot_write(error) from error
         try:
             self._next = self._read_counter()
-            self._sizes = self._recover()  # pending sequence numbers → bytes, ascending
+            self._sizes, pending = self._recover()  # pending sequence numbers → bytes, ascending
+            self._log = ProducedLog(self.folder, pending)
+        except OSError as error:
+            os.close(self._lock_file)
+            raise self._cannot_write(error) from error
         except BaseException:
             os.close(self._lock_file)
             raise
         self._next = max(self._next, *(seq + 1 for seq in self._sizes), 0)
+
+    @property
+    def produced(self) -> int:
+        """Transitions ever put, by every process that owned the folder."""
+        with self._changed:
+            return self._log.transitions
 
     def __len__(self) -> int:
         """Rollouts not yet acked."""
@@ -80,22 +109,30 @@ class Spool:
         with self._changed:
             return next(iter(self._sizes), self._next)
 
-    def put(self, blob: bytes, timeout_s: float | None = None) -> int | None:
+    def put(self, blob: bytes, timeout_s: float | None = None, beyond: bool = False) -> int | None:
         """Store `blob` durably and return its sequence number; blocks while the spool is full.
 
+        beyond: store it even so, for an actor that has to end and will not lose its last episode.
         None: stopped, or still full after `timeout_s`; nothing was stored. UserError: the disk refused, or
         the learner did (see `stop`).
         """
         if len(blob) > self._max_bytes:
             raise ValueError(f"blob: got {len(blob)} bytes; the spool holds up to {self._max_bytes}")
         with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self._has_room(len(blob)), timeout_s)
+            if not (beyond or self._has_room(len(blob))):
+                self._tell_full()
+                self._changed.wait_for(lambda: self._stopped or self._has_room(len(blob)), timeout_s)
             if self._reason:
                 raise UserError(self._reason)
-            if self._stopped or not self._has_room(len(blob)):
+            if self._stopped or not (beyond or self._has_room(len(blob))):
                 return None
-            seq = self._next
-            self._write(self._path(seq), _CRC.pack(zlib.crc32(blob)) + blob)
+            seq, data = self._next, _CRC.pack(zlib.crc32(blob)) + blob
+            self._write(self._path(seq), data)
+            try:
+                self._log.add(seq, self._receipt(blob))  # before anyone can send it
+            except BaseException as error:
+                self._path(seq).unlink()
+                raise self._cannot_write(error) if isinstance(error, OSError) else error from None
             self._sizes[seq] = len(blob)
             self._next = seq + 1
             self._changed.notify_all()
@@ -116,6 +153,8 @@ class Spool:
             if seq != next(iter(self._sizes), None):
                 raise ValueError(f"seq: got {seq}; only the oldest pending rollout can be acked")
             self._remove(seq)
+            if len(self._sizes) <= self._max_count // 2:
+                self._full = False  # from here on it is news again
             self._changed.notify_all()
 
     def align(self, expected: int) -> None:
@@ -141,6 +180,7 @@ class Spool:
                 if new != seq:
                     os.replace(self._path(seq), self._path(new))
                 renumbered[new] = size
+            self._log.renumber(zip(self._sizes, renumbered, strict=True))
             self._sizes = renumbered
             if self._next != expected + len(renumbered):
                 self._next = expected + len(renumbered)
@@ -165,6 +205,7 @@ class Spool:
         self.stop()
         with self._changed:
             if self._lock_file >= 0:
+                self._log.close()
                 os.close(self._lock_file)
                 self._lock_file = -1
 
@@ -184,12 +225,23 @@ class Spool:
             self._write_counter()
         self._path(seq).unlink(missing_ok=True)
         del self._sizes[seq]
+        self._log.acked(seq)
+
+    def _tell_full(self) -> None:
+        if not self._full:
+            self._full = True
+            log.warning(
+                "spool %s is full (%d rollouts, %.0f MB): collecting waits until the learner has taken some",
+                self.folder, len(self._sizes), sum(self._sizes.values()) / 1e6,
+            )  # fmt: skip
 
     def _path(self, seq: int) -> Path:
         return self.folder / f"{seq:012d}{_SUFFIX}"
 
-    def _recover(self) -> dict[int, int]:
+    def _recover(self) -> tuple[dict[int, int], dict[int, Receipt]]:
+        """(bytes, receipt) of every pending rollout by sequence number, ascending."""
         sizes: dict[int, int] = {}
+        pending: dict[int, Receipt] = {}
         for leftover in self.folder.glob("*.tmp"):
             leftover.unlink()
         for path in sorted(self.folder.glob(f"*{_SUFFIX}")):
@@ -198,8 +250,10 @@ class Spool:
                 log.warning("%s is damaged; dropping it", path)
                 path.unlink()
                 continue
-            sizes[int(path.name.removesuffix(_SUFFIX))] = len(data) - _CRC.size
-        return sizes
+            seq = int(path.name.removesuffix(_SUFFIX))
+            sizes[seq] = len(data) - _CRC.size
+            pending[seq] = self._receipt(data[_CRC.size :])
+        return sizes, pending
 
     def _read_counter(self) -> int:
         path = self.folder / "spool.json"
@@ -235,7 +289,7 @@ def _lock(folder: Path) -> int:
     except BlockingIOError as error:
         holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
-        raise UserError(
+        raise SpoolInUse(
             f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
         ) from error
     os.truncate(descriptor, 0)

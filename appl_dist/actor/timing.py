@@ -18,14 +18,14 @@ class TimingSettings:
 
     scan_period_ms: int = 20
     scan_delay_ms: int = 20  # stamp to usable in the costmaps
-    odometry_delay_ms: int = 3
+    odometry_delay_ms: int = 3  # and up to a scan period more: the filter runs on a clock of its own
     local_map_period_ms: int = 50
     global_map_period_ms: int = 100
     plan_period_ms: int = 50
     control_period_ms: int = 50
     command_delay_ms: int = 2  # published to acted on
     random_phases: bool = True
-    cpu_factor: float = 1.0
+    cpu_factor: float = 3.0
     control_base_ms: float = 1.65  # goal and path wavefronts, plus 1.5 ms for the published cost cloud
     control_us_per_step: float = 0.16  # one roll-out step: footprint outline and cell costs
     plan_ms: float = 1.65  # navfn, whose wave covers about the same area in every plan

@@ -38,6 +38,13 @@ def select_worlds(path: str, count: int, seed: int, split: str) -> list[World]:
     return [worlds[i] for i in indices]
 
 
+def split_groups(path: str, indices: list[int]) -> dict[str, list[int]]:
+    """World indices by the split they belong to, as the papers' tables report them; empty splits are left out."""
+    test = set((_published_split(Path(path), "test") if path else None) or [i for i in indices if i % TEST_EVERY == 0])
+    groups = {"train": [i for i in indices if i not in test], "test": [i for i in indices if i in test]}
+    return {name: chosen for name, chosen in groups.items() if chosen}
+
+
 def _published_split(path: Path, split: str) -> list[int] | None:
     file = (path if path.is_dir() else path.parent) / SPLIT_FILE
     if not file.is_file():

@@ -1,16 +1,17 @@
-"""An evaluation from policies and worlds to tables and figures.
+"""An evaluation from policies and worlds to trials and their numbers.
 
-Writes into its folder: trials.csv (as trials finish), summary.json, table_mean and table_wins (.md and
-.csv), figures (.png and .pdf). The same call on the same folder goes on where it stopped.
+Writes into its folder: evaluation.json, worlds.csv, trials.csv (as trials finish) and summary.json. The same call on
+the same folder goes on where it stopped; more methods, worlds or trials add to what is there.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-import re
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,24 +19,30 @@ from rich.console import Console
 
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.errors import UserError
+from appl_dist.evaluate import provenance
 from appl_dist.evaluate.analysis import Analysis, analyse, as_dict
+from appl_dist.evaluate.folder import Head, course_facts, save_head, write_head
 from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, make_methods
-from appl_dist.evaluate.tables import mean_table, wins_table
-from appl_dist.evaluate.trials import Trial, run_trials
+from appl_dist.evaluate.trial_log import TrialLog
+from appl_dist.evaluate.trials import TRIALS_FILE, Trial, make_jobs, run_jobs
+from appl_dist.evaluate.workers import Crew
 from appl_dist.files import write_atomic
 from appl_dist.sim.worlds import World
 
 log = logging.getLogger(__name__)
 
-SUMMARY_VERSION = 1
+SUMMARY_FILE = "summary.json"
 
 
 @dataclass(frozen=True)
 class EvaluationResult:
+    """session: the trials run this time, seconds, episodes_per_s and x_real_time, or {} where all were there."""
+
     folder: Path
     trials: tuple[Trial, ...]
     analysis: Analysis
+    session: Mapping[str, Any]
 
 
 def evaluate(
@@ -47,91 +54,88 @@ def evaluate(
     protocol: str | Protocol = "appl",
     environment: Mapping[str, Any] | None = None,
     groups: Mapping[str, Sequence[int]] | None = None,
-    workers: int = 1,
+    workers: int | Crew = 1,
     seed: int = 0,
-    metrics: str | Path | None = None,
+    settings: Mapping[str, Any] | None = None,
     console: Console | None = None,
 ) -> EvaluationResult:
-    """Run every method in every world, print the tables, write the results.
+    """Run every method in every world and analyse what came of it.
 
     methods: (label, policy specification); the labels "default" and "fixed" mark the baselines every
     table compares with. environment: further arguments of `NavigationEnv` (timing, planner …). groups:
     world indices by name of the group reported together (all: one group). workers: processes, 0 for
-    none. metrics: metrics.jsonl of a training run, for the learning curve. Raises UserError.
+    none, or a crew elsewhere. settings: the configuration this comes from, kept for replays. Raises UserError.
     """
     if trials_per_world < 1:
         raise UserError(f"trials: got {trials_per_world}; allowed 1 or more a world")
+    if isinstance(workers, int) and workers < 0:
+        raise UserError(f"workers: got {workers}; allowed 0 (in this process) or more")
     rules = _protocol(protocol)
     checked = make_methods(methods, (environment or {}).get("space"))
     chosen = _groups(groups, worlds)
-    runner = NavigationRunner(tuple(worlds), checked, {**(environment or {}), "protocol": rules})
     indices = sorted({w for group in chosen.values() for w in group})
-    total = len(checked) * len(indices) * trials_per_world
+    runner = NavigationRunner(tuple(worlds), checked, {**(environment or {}), "protocol": rules})
+    jobs = make_jobs(checked, indices, range(trials_per_world), seed, runner.courses())
     folder = Path(folder)
-    with show_progress(total, "evaluate", console) as on_trial:
-        trials = run_trials(
-            checked,
-            indices,
-            trials_per_world,
-            runner,
-            workers=workers,
-            seed=seed,
-            folder=folder,
-            config_hash=runner.config_hash(seed),
-            on_trial=on_trial,
-        )
+    head = Head(rules, checked, {n: tuple(g) for n, g in chosen.items()}, seed, trials_per_world, settings or {})
+    with TrialLog(folder / TRIALS_FILE, Trial, rules.name, runner.config_hash()) as trial_log:
+        old = len(trial_log.matching(jobs))
+        head = write_head(folder, head, [course_facts(w, rules) for w in worlds if w.index in set(indices)])
+        if old:
+            log.info("%s: %d of %d trials are there already", folder, old, len(jobs))
+        session: dict[str, Any] = {}
+        if old < len(jobs):
+            session = _begin()
+            head = replace(head, sessions=(*head.sessions, session))
+            save_head(folder, head)  # before the first trial: a killed evaluation, too, says where it ran
+        driven: list[Trial] = []
+        started = time.monotonic()
+        try:
+            with show_progress(len(jobs), "evaluate", console, done=old) as on_trial:
+
+                def note(trial: Trial) -> None:
+                    driven.append(trial)
+                    on_trial(trial)
+
+                trials = run_jobs(jobs, runner, workers=workers, log=trial_log, on_trial=note)
+        finally:
+            if session:
+                count = max(1, workers) if isinstance(workers, int) else len(workers)
+                session |= {"workers": count, **_speed(driven, time.monotonic() - started)}
+                save_head(folder, head)
     labels = [m.label for m in checked]
     analysis = analyse(trials, labels, chosen, limit_s=rules.limit_s, failed_time_s=rules.failed_time_s, seed=seed)
-    summary = {
-        "version": SUMMARY_VERSION,
-        "protocol": asdict(rules),
-        "seed": seed,
-        "trials_per_world": trials_per_world,
-        "config": runner.config_hash(seed),
-        "methods": [asdict(m) for m in checked],
+    write_atomic(folder / SUMMARY_FILE, json.dumps({"session": session, **as_dict(analysis)}, indent=1) + "\n")
+    if session:
+        (console or Console()).print(speed_line(session), highlight=False)
+    return EvaluationResult(folder, tuple(trials), analysis, session)
+
+
+def speed_line(session: Mapping[str, Any]) -> str:
+    """How fast a session was, in words."""
+    return (
+        f"{session['trials']:,} trials in {session['seconds']:.0f} s on {session['workers']} processes: "
+        f"{session['episodes_per_s']:.2f} episodes/s, {session['x_real_time']:.0f} times real time"
+    )
+
+
+def _begin() -> dict[str, Any]:
+    return {
+        "begun": datetime.now(UTC).isoformat(timespec="seconds"),
+        "workers": 0,
+        "machine": provenance.machine(),
+        "code": provenance.code(),
+        **_speed((), 1.0),
     }
-    write_results(folder, analysis, summary, metrics)
-    _print(analysis, folder, console or Console())
-    return EvaluationResult(folder, tuple(trials), analysis)
 
 
-def write_results(
-    folder: Path, analysis: Analysis, summary: Mapping[str, Any], metrics: str | Path | None = None
-) -> None:
-    """summary.json, both tables and all figures of an analysis, each written whole."""
-    write_atomic(folder / "summary.json", json.dumps({**summary, **as_dict(analysis)}, indent=1) + "\n")
-    for name, table in (("table_mean", mean_table(analysis)), ("table_wins", wins_table(analysis))):
-        write_atomic(folder / f"{name}.md", table.markdown())
-        write_atomic(folder / f"{name}.csv", table.csv())
-    _write_figures(folder / "figures", analysis, metrics)
-
-
-def _write_figures(folder: Path, analysis: Analysis, metrics: str | Path | None) -> None:
-    try:
-        from appl_dist.evaluate import figures
-
-        figure = figures.ecdf_figure(analysis)
-    except ImportError:
-        log.warning("no figures: matplotlib is not installed (pip install 'appl-dist[evaluate]')")
-        return
-    figures.save_figure(figure, folder / "times")
-    for base in analysis.baselines:
-        for method in analysis.methods:
-            if method != base and (base, method) != ("fixed", "default"):
-                name = f"difference_{_slug(method)}_{_slug(base)}"
-                figures.save_figure(figures.difference_figure(analysis, method, base), folder / name)
-    if metrics is not None:
-        curve = figures.read_metrics(metrics)
-        group = next((g for g in analysis.groups if g.name == "train"), analysis.groups[0])
-        lines = {m: (group.summaries[m].mean_time_s, group.summaries[m].success) for m in analysis.baselines}
-        figures.save_figure(figures.learning_figure(*curve, lines), folder / "learning")
-
-
-def _print(analysis: Analysis, folder: Path, console: Console) -> None:
-    console.print(mean_table(analysis).rich())
-    if len(analysis.methods) > 1:
-        console.print(wins_table(analysis).rich())
-    console.print(f"trials, tables and figures in {folder}", highlight=False)
+def _speed(driven: Sequence[Trial], seconds: float) -> dict[str, Any]:
+    return {
+        "trials": len(driven),
+        "seconds": seconds if driven else 0.0,
+        "episodes_per_s": len(driven) / seconds,
+        "x_real_time": sum(t.time_s for t in driven) / seconds,
+    }
 
 
 def _protocol(protocol: str | Protocol) -> Protocol:
@@ -153,7 +157,3 @@ def _groups(groups: Mapping[str, Sequence[int]] | None, worlds: Sequence[World])
     if not chosen:
         raise UserError("worlds: got none; give at least one world to evaluate in")
     return chosen
-
-
-def _slug(label: str) -> str:
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", label)

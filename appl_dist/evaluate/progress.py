@@ -25,9 +25,14 @@ LOG_EVERY_S = 30.0
 
 @contextmanager
 def show_progress(
-    total: int, title: str, console: Console | None = None, clock: Callable[[], float] = time.monotonic
+    total: int,
+    title: str,
+    console: Console | None = None,
+    *,
+    done: int = 0,
+    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Callable[[Any], None]]:
-    """Yields the `on_trial` callback of `run_jobs`; counts `total` trials."""
+    """Yields the `on_trial` callback of `run_jobs`; counts `total` trials, `done` of which are there already."""
     console = console or Console(stderr=True)
     if console.is_terminal:
         columns = (
@@ -40,7 +45,7 @@ def show_progress(
             TimeRemainingColumn(elapsed_when_finished=False),
         )
         with Progress(*columns, console=console, speed_estimate_period=120.0) as bar:
-            task = bar.add_task(title, total=total, success="")
+            task = bar.add_task(title, total=total, completed=done, success="")
             count = successes = 0
 
             def advance(trial: Any) -> None:
@@ -52,15 +57,15 @@ def show_progress(
             yield advance
         return
     start = last = clock()
-    done = 0
+    new = 0
 
     def note(trial: Any) -> None:
-        nonlocal done, last
-        done += 1
+        nonlocal new, last
+        new += 1
         now = clock()
-        if now - last >= LOG_EVERY_S or done == total:
+        if now - last >= LOG_EVERY_S or done + new == total:
             last = now
-            left_s = (now - start) / done * (total - done)
-            log.info("%s: %d of %d trials, about %.0f s left", title, done, total, left_s)
+            left_s = (now - start) / new * (total - done - new)
+            log.info("%s: %d of %d trials, about %.0f s left", title, done + new, total, left_s)
 
     yield note

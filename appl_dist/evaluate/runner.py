@@ -7,22 +7,27 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.policy import load_policy
+from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.rollout import EpisodeResult, run_episode
 from appl_dist.errors import UserError
-from appl_dist.evaluate.trials import Job, Method, Trial
+from appl_dist.evaluate.trials import Job, Method, Trial, encode_trace
 from appl_dist.sim.worlds import World
-from appl_dist.spec import DWA, ParameterSpace
+from appl_dist.spec import DWA, SPACES, ParameterSpace
+
+# Arguments of `NavigationEnv` that no trial depends on: what learning is rewarded for.
+_NO_MATTER = ("rewards", "space")
 
 
 @dataclass(frozen=True)
 class NavigationRunner:
-    """A factory of runners that pickles: called in a worker, it builds the environment and the policies.
+    """A factory of runners that pickles: called in a worker, it builds the environments and the policies.
 
     `environment`: further arguments of `NavigationEnv` (protocol, timing, planner …), all frozen
     dataclasses or plain values.
@@ -35,30 +40,49 @@ class NavigationRunner:
     def __call__(self) -> _Runner:
         return _Runner(self)
 
-    def config_hash(self, seed: int) -> str:
-        """Hash of all that a trial depends on besides its method, world index and number."""
-        digest = hashlib.sha256(repr(seed).encode())
+    def config_hash(self) -> str:
+        """Hash of all that trials depend on besides method, course, number and seed."""
+        digest = hashlib.sha256()
         for name in sorted(self.environment):
-            digest.update(f"{name}={self.environment[name]!r};".encode())
-        for world in sorted(self.worlds, key=lambda w: w.index):
-            digest.update(repr(world.index).encode())
-            digest.update(world.cylinders.tobytes())
-            digest.update(world.path.tobytes())
+            if name not in _NO_MATTER:
+                digest.update(f"{name}={self.environment[name]!r};".encode())
         return digest.hexdigest()[:16]
+
+    def courses(self) -> dict[int, str]:
+        """A fingerprint of each world's geometry."""
+        return {world.index: course_of(world) for world in self.worlds}
+
+
+def course_of(world: World) -> str:
+    """Fingerprint of a world's geometry: equal for equal courses, wherever they were loaded from."""
+    digest = hashlib.sha256(world.cylinders.tobytes())
+    digest.update(world.path_official.tobytes())
+    return digest.hexdigest()[:8]
 
 
 class _Runner:
     def __init__(self, settings: NavigationRunner) -> None:
-        self._env = NavigationEnv(settings.worlds, **settings.environment)
-        space = settings.environment.get("space", DWA)
-        self._policies = {m.label: load_policy(m.spec, space) for m in settings.methods}
+        self._settings = settings
+        self._protocol = settings.environment.get("protocol", PROTOCOLS["appl"]).name
+        self._envs: dict[str, NavigationEnv] = {}  # by parameter space: methods may have different boxes
+        default = settings.environment.get("space", DWA)
+        self._policies = {}
+        for m in settings.methods:
+            policy, space = _load(m.spec, default)
+            self._policies[m.label] = policy, self._env(space)
+
+    def _env(self, space: ParameterSpace) -> NavigationEnv:
+        if space.name not in self._envs:
+            arguments = {**self._settings.environment, "space": space}
+            self._envs[space.name] = NavigationEnv(self._settings.worlds, **arguments)
+        return self._envs[space.name]
 
     def __call__(self, job: Job) -> Trial:
-        result = run_episode(self._env, self._policies[job.method], seed=job.seed, world=job.world)
-        return trial_of(job, result)
+        policy, env = self._policies[job.method]
+        return trial_of(job, self._protocol, run_episode(env, policy, seed=job.seed, world=job.world))
 
 
-def trial_of(job: Job, result: EpisodeResult) -> Trial:
+def trial_of(job: Job, protocol: str, result: EpisodeResult) -> Trial:
     """The row of an episode's result; the outcome names what ended it."""
     if result.success:
         outcome = "goal"
@@ -69,17 +93,21 @@ def trial_of(job: Job, result: EpisodeResult) -> Trial:
     return Trial(
         method=job.method,
         policy=job.policy,
+        protocol=protocol,
         world=job.world,
+        course=job.course,
         trial=job.trial,
         seed=job.seed,
         success=bool(result.success),
         time_s=float(result.time_s),
         outcome=outcome,
-        collided=bool(result.collided),
+        collisions=int(result.collisions),
         distance_m=float(result.distance_m),
         min_clearance_m=float(result.min_clearance_m),
-        decisions=int(result.decisions),
         recoveries=int(result.recoveries),
+        decisions=result.decisions,
+        digest=result.digest,
+        parameters=encode_trace(result.parameters),
     )
 
 
@@ -92,12 +120,24 @@ def make_methods(methods: Sequence[tuple[str, str]], space: ParameterSpace | Non
         raise UserError("methods: got none; give at least one label and policy")
     labels = [label for label, _ in methods]
     for label in labels:
-        if not label or labels.count(label) > 1 or "\n" in label:
+        if not label or labels.count(label) > 1 or not label.isprintable():
             raise UserError(f"methods: label {label!r} is empty or used twice; labels name the rows of results")
     result = []
     for label, spec in methods:
-        load_policy(spec, space or DWA)
+        _load(spec, space or DWA)
         path = Path(spec.split(":", 1)[-1])
         content = path.read_bytes() if path.is_file() else spec.encode()
         result.append(Method(label, spec, hashlib.sha256(content).hexdigest()[:12]))
     return tuple(result)
+
+
+def _load(spec: str, space: ParameterSpace) -> tuple[Any, ParameterSpace]:
+    """A policy and the box it acts in: another box of the same parameters where it does not fit in `space`."""
+    try:
+        return load_policy(spec, space), space
+    except UserError:
+        for other in SPACES.values():
+            if other.names == space.names and other != space:
+                with suppress(UserError):
+                    return load_policy(spec, other), other
+        raise

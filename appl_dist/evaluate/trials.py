@@ -10,17 +10,19 @@ sensor noise and timing. What a trial gives depends on its job alone, never on t
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appl_dist.evaluate.trial_log import TrialLog
-from appl_dist.evaluate.workers import run_parallel
+from appl_dist.evaluate.workers import Crew, run_parallel
 
+TRIALS_FILE = "trials.csv"
 OUTCOMES = ("goal", "timeout", "collision", "rollover")
 
 
@@ -47,6 +49,7 @@ class Job:
     world: int
     trial: int
     seed: int
+    course: str = ""  # fingerprint of the world's geometry
 
     @property
     def key(self) -> tuple[str, int, int]:
@@ -55,26 +58,32 @@ class Job:
 
 @dataclass(frozen=True)
 class Trial:
-    """The result of one trial; a row of `trials.csv`.
+    """The result of one trial; a row of `trials.csv`, from which it can be driven again, bit for bit.
 
     `time_s` is the simulated time driven, also for a failed trial: what a failure counts is the
     protocol's business (`failed_time_s`) and enters in the statistics. `outcome` is one of OUTCOMES;
-    `collided` is any contact with an obstacle, which some protocols do not end a trial for.
+    `collisions` counts contacts with obstacles, which some protocols do not end a trial for.
+    `digest` stands for every bit of the trajectory. `parameters` is the trace of the planner parameters in
+    force: decisions separated by ";", values by " ", an empty decision repeats the one before it.
     """
 
     method: str
     policy: str
+    protocol: str
     world: int
+    course: str
     trial: int
     seed: int
     success: bool
     time_s: float
     outcome: str
-    collided: bool
+    collisions: int
     distance_m: float
     min_clearance_m: float
-    decisions: int
     recoveries: int
+    decisions: int
+    digest: str
+    parameters: str
 
     def __post_init__(self) -> None:
         if self.outcome not in OUTCOMES:
@@ -88,6 +97,24 @@ class Trial:
     def key(self) -> tuple[str, int, int]:
         return self.method, self.world, self.trial
 
+    @property
+    def collided(self) -> bool:
+        return self.collisions > 0
+
+
+def encode_trace(values: NDArray[np.float64]) -> str:
+    """Parameter values (decisions, n) as a cell of text; every float reads back to the same bits."""
+    rows = [" ".join(str(int(v)) if v.is_integer() else repr(v) for v in row) for row in values.tolist()]
+    return ";".join("" if i and row == rows[i - 1] else row for i, row in enumerate(rows))
+
+
+def decode_trace(text: str) -> NDArray[np.float64]:
+    """(decisions, n) values of `encode_trace`. ValueError if it is none."""
+    rows: list[list[float]] = []
+    for row in text.split(";"):
+        rows.append([float(v) for v in row.split(" ")] if row or not rows else rows[-1])
+    return np.array(rows)
+
 
 class Runner(Protocol):
     """Runs jobs; lives in one worker process and keeps its simulator between them."""
@@ -100,14 +127,20 @@ def trial_seed(seed: int, world: int, trial: int) -> int:
     return int(np.random.SeedSequence([seed, world, trial]).generate_state(1, np.uint64)[0] >> np.uint64(11))
 
 
-def make_jobs(methods: Sequence[Method], worlds: Sequence[int], trials: Iterable[int], seed: int) -> list[Job]:
-    """Every method in every world for each trial index.
+def make_jobs(
+    methods: Sequence[Method],
+    worlds: Sequence[int],
+    trials: Iterable[int],
+    seed: int,
+    courses: Mapping[int, str] | None = None,
+) -> list[Job]:
+    """Every method in every world for each trial index. courses: fingerprints of the worlds' geometry.
 
     Trial index outermost and methods innermost: an interrupted evaluation has about equally many
     trials of every method in every world.
     """
     return [
-        Job(m.label, m.fingerprint, world, k, trial_seed(seed, world, k))
+        Job(m.label, m.fingerprint, world, k, trial_seed(seed, world, k), (courses or {}).get(world, ""))
         for k in trials
         for world in worlds
         for m in methods
@@ -118,26 +151,25 @@ def run_jobs(
     jobs: Sequence[Job],
     make_runner: Callable[[], Runner],
     *,
-    workers: int = 1,
+    workers: int | Crew = 1,
     log: TrialLog | None = None,
     on_trial: Callable[[Trial], None] | None = None,
 ) -> list[Trial]:
     """Run the jobs that `log` does not hold yet; return the trials of all, in the order of `jobs`.
 
     `make_runner` is called once in each of `workers` spawned processes (0: in this process), so it must
-    pickle. `on_trial` is called in this process for each trial in order of completion, the logged ones
-    first. Raises UserError for bad input or a full disk, RuntimeError with the worker's traceback for a
-    fault in a runner; whatever ends it, the log holds every finished trial and no worker is left.
+    pickle; or `workers` is a crew of another kind. `on_trial` is called in this process for each trial that
+    is run, in order of completion. Raises UserError for bad input or a full disk, RuntimeError with the
+    worker's traceback for a fault in a runner; whatever ends it, the log holds every finished trial and no
+    worker is left.
     """
     done: dict[tuple[str, int, int], Trial] = {}
     if log is not None:
         logged = log.matching(jobs)
         done = {job.key: logged[job.key] for job in jobs if job.key in logged}
-    for trial in done.values():
-        if on_trial is not None:
-            on_trial(trial)
     todo = [job for job in jobs if job.key not in done]
-    with closing(run_parallel(todo, make_runner, workers)) as results:
+    crew = run_parallel(todo, make_runner, workers) if isinstance(workers, int) else workers(todo, make_runner)
+    with closing(crew) as results:
         for trial in results:
             done[trial.key] = trial
             if log is not None:
@@ -156,16 +188,18 @@ def run_trials(
     workers: int = 1,
     seed: int = 0,
     folder: str | Path | None = None,
+    protocol: str = "",
     config_hash: str = "",
+    courses: Mapping[int, str] | None = None,
     on_trial: Callable[[Trial], None] | None = None,
 ) -> list[Trial]:
     """`run_jobs` over methods × worlds × trials, logged to `folder`/trials.csv if a folder is given.
 
-    `config_hash` stands for all that trials depend on besides method, world, trial and policy (protocol,
-    environment, seed); a folder with another one is refused.
+    `config_hash` stands for all that trials depend on besides method, world, trial, seed and policy (protocol,
+    environment); a folder with another one, or of another protocol, is refused.
     """
-    jobs = make_jobs(methods, worlds, range(trials_per_world), seed)
+    jobs = make_jobs(methods, worlds, range(trials_per_world), seed, courses)
     if folder is None:
         return run_jobs(jobs, make_runner, workers=workers, on_trial=on_trial)
-    with TrialLog(Path(folder) / "trials.csv", Trial, config_hash) as log:
+    with TrialLog(Path(folder) / TRIALS_FILE, Trial, protocol, config_hash) as log:
         return run_jobs(jobs, make_runner, workers=workers, log=log, on_trial=on_trial)

@@ -17,11 +17,24 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, Protocol
 
 from appl_dist.errors import UserError
 
 log = logging.getLogger(__name__)
+
+
+class Crew(Protocol):
+    """Workers of another kind than processes of this machine: yields the result of every job, as `run_parallel` does.
+
+    Its length is how many workers there were.
+    """
+
+    def __call__(
+        self, jobs: Sequence[Any], make_runner: Callable[[], Callable[[Any], Any]], /
+    ) -> Generator[Any, None, None]: ...
+    def __len__(self) -> int: ...
+
 
 # One thread a worker: matrices here are small and the cores are taken by other workers.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

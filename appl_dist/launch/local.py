@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import signal
 import sys
@@ -15,17 +14,19 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 
-from appl_dist.config import Settings, as_dict, cores, from_dict
+from appl_dist.config import CONFIG_FILE, Settings, cores
 from appl_dist.errors import UserError
-from appl_dist.files import write_atomic
 from appl_dist.launch import view
+from appl_dist.launch.evaluation import evaluate_methods
+from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import USER_ERROR, Child, stop_all
-from appl_dist.launch.roles import act_in_run, build_learner, environment_arguments, stop_event, worlds_of
+from appl_dist.launch.roles import act_in_run, build_learner, open_spool, stop_event
+from appl_dist.launch.runs import prepare
 from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.credentials import VIEWER
 
 log = logging.getLogger(__name__)
 
-CONFIG_FILE = "config.json"
 POLL_S = 1.0
 LOG_LINE_S = 10.0  # between lines where there is no terminal to draw on
 CONNECT_S = 2.0
@@ -37,6 +38,7 @@ def train(settings: Settings) -> int:
     settings, folder = prepare(settings)
     console = view.make_console()
     finished = _serial(settings) if settings.serial else _processes(settings, folder, console)
+    console.print(run_ledger(folder).sentence(), highlight=False, soft_wrap=True)
     if not finished:
         console.print(f"stopped; continue with: appl-dist train run.resume={folder}", highlight=False)
         return 0
@@ -44,49 +46,16 @@ def train(settings: Settings) -> int:
     return 0
 
 
-def prepare(settings: Settings) -> tuple[Settings, Path]:
-    """Make or find the run folder and freeze the configuration in it.
-
-    A resumed run keeps its own configuration; only its length, the number of actors and the wire come from now.
-    """
-    if settings.run.resume:
-        folder = Path(settings.run.resume)
-        frozen = _read_config(folder)
-        run = replace(
-            frozen.run, resume=str(folder), transitions=settings.run.transitions, minutes=settings.run.minutes
-        )
-        settings = replace(frozen, run=run, actors=settings.actors, wire=settings.wire, serial=settings.serial)
-    else:
-        folder = Path(settings.run.folder or time.strftime("runs/%Y%m%d-%H%M%S"))
-        if (folder / CONFIG_FILE).exists():
-            raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
-        settings = replace(settings, run=replace(settings.run, folder=str(folder)))
-    write_atomic(folder / CONFIG_FILE, json.dumps(as_dict(settings), indent=2))
-    worlds_of(settings, settings.world.train)  # a wrong path is told here, not by every actor
-    worlds_of(settings, settings.evaluation.worlds)
-    return settings, folder
-
-
-def _read_config(folder: Path) -> Settings:
-    try:
-        return from_dict(json.loads((folder / CONFIG_FILE).read_text()))
-    except OSError as error:
-        raise UserError(f"run.resume: {folder / CONFIG_FILE} cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise UserError(f"run.resume: {folder / CONFIG_FILE} is damaged: {error}") from None
-
-
 def _processes(settings: Settings, folder: Path, console: Console) -> bool:
     """Whether the run reached its length."""
     logs = folder / "logs"
     logs.mkdir(exist_ok=True)
-    key = "run.resume" if settings.run.resume else "run.folder"
-    config = [f"--config={folder / CONFIG_FILE}"]
-    learner = Child("learner", ["learner", *config, f"{key}={folder}"], logs / "learner.log")
+    config = f"--config={folder / CONFIG_FILE}"
+    learner = Child("learner", ["learner", config], logs / "learner.log")
     actors = [
         Child(
             f"actor-{i}",
-            ["actor", *config, f"actor.id=actor-{i}", f"actor.spool={folder / 'spool' / f'actor-{i}'}"],
+            ["actor", config, f"actor.id=actor-{i}", f"actor.spool={folder / 'spool' / f'actor-{i}'}"],
             logs / f"actor-{i}.log",
         )
         for i in range(settings.actors or cores())
@@ -133,14 +102,14 @@ def _watch(
                     notes.append(f"{child.name} was restarted ({child.restarts}); see {child.log_file}")
             try:
                 if session is None:
-                    session = open_session(replace(settings.wire, timeout_s=CONNECT_S), listen=False)
+                    session = open_session(replace(settings.wire, timeout_s=CONNECT_S), False, VIEWER)
                 if run_id is None:
                     run_id, _ = fetch_run(session, 1.0)
                 status = fetch_status(session, run_id, 2.0)
             except UserError:
                 continue  # starting, or restarting
             if live:
-                live.update(view.render(status, notes))
+                live.update(view.render(status, notes, "Ctrl-C stops, resumable"))
             elif time.monotonic() >= next_line:
                 next_line = time.monotonic() + LOG_LINE_S
                 print(view.line(status), flush=True)
@@ -159,7 +128,8 @@ def _serial(settings: Settings) -> bool:
     stop = stop_event()
     hub = MemoryHub()
     learner = build_learner(settings, hub.connect())
-    spool = learner.run_info.folder / "spool" / "actor-0"
+    run = learner.run_info
+    limits = settings.actor
 
     def learn() -> bool:
         while learner.step():
@@ -167,15 +137,8 @@ def _serial(settings: Settings) -> bool:
         return False
 
     try:
-        act_in_run(
-            settings,
-            hub.connect(),
-            learner.run_info.run_id,
-            "actor-0",
-            spool,
-            lambda: stop.is_set() or learner.finished,
-            learn,
-        )
+        with open_spool(replace(limits, run=str(run.folder)), limits, run.run_id) as spool:
+            act_in_run(settings, hub.connect(), run.run_id, spool, lambda: stop.is_set() or learner.finished, learn)
         learner.end()
         return learner.finished
     finally:
@@ -184,19 +147,8 @@ def _serial(settings: Settings) -> bool:
 
 def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
     """The final policy against the configured methods on worlds that training did not see."""
-    from appl_dist.evaluate.main import evaluate
     from appl_dist.learner.main import POLICY_FILE
 
-    evaluate(
-        [*settings.evaluation.methods.items(), ("learned", str(folder / POLICY_FILE))],
-        worlds_of(settings, settings.evaluation.worlds),
-        settings.evaluation.trials,
-        folder / "evaluation",
-        protocol=settings.protocol,
-        environment=environment_arguments(settings),
-        workers=settings.evaluation.workers or cores(),
-        seed=settings.run.seed,
-        metrics=folder / "metrics.jsonl",
-        console=console,
-    )
+    methods = [*settings.evaluation.methods.items(), ("learned", str(folder / POLICY_FILE))]
+    evaluate_methods(settings, methods, folder / "evaluation", console, run=folder)
     sys.stdout.flush()

@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 PARENT_VARIABLE = "APPL_DIST_PARENT"
 USER_ERROR = 2  # exit status of a user's mistake: restarting would only repeat it
 MAX_BACKOFF_S = 30.0
-HEALTHY_S = 60.0  # a child that lived this long starts again at once
+HEALTHY_S = 20.0  # a child that lived this long starts again at once
 PR_SET_PDEATHSIG = 1
 
 

@@ -9,6 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,17 +17,15 @@ import numpy as np
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.main import Explorer, act, actor_seed
-from appl_dist.actor.protocol import PROTOCOLS
-from appl_dist.actor.spool import Spool
-from appl_dist.actor.worldset import select_worlds
-from appl_dist.config import Settings, as_dict, cores, from_dict
+from appl_dist.actor.spool import Spool, SpoolInUse
+from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.launch.view import make_console
-from appl_dist.sim.worlds import World
+from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts, worlds_of
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
+from appl_dist.wire.credentials import ACTOR, find
 from appl_dist.wire.liveness import Presence
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
@@ -36,7 +35,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+EVALUATION = "evaluation_of"  # in what is served to actors: no training run, but trials under these settings
 DRAIN_S = 5.0  # an actor's last rollouts
+MAX_ACTORS = 10_000
 LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not started yet
 HELD_ROLLOUTS = 2  # an actor that the learner told to wait stops collecting at this many unsent rollouts
 
@@ -54,10 +55,6 @@ def environment_arguments(settings: Settings) -> dict[str, Any]:
     }
 
 
-def worlds_of(settings: Settings, split: str) -> list[World]:
-    return select_worlds(settings.world.path, settings.world.count, settings.world.seed, split)
-
-
 def stop_event() -> threading.Event:
     """An event that SIGINT and SIGTERM set; a second SIGINT interrupts as usual."""
     event = threading.Event()
@@ -72,21 +69,32 @@ def stop_event() -> threading.Event:
     return event
 
 
+def leave_event() -> threading.Event:
+    """An event that SIGUSR1 sets: what a cluster sends shortly before it takes the node away."""
+    event = threading.Event()
+    signal.signal(signal.SIGUSR1, lambda *_: event.set())
+    return event
+
+
 def learner(settings: Settings) -> int:
-    """Run the learner alone until the run ends or a signal comes."""
+    """Run the learner alone until the run ends or a signal comes; a run that `run.folder` holds is continued.
+
+    SIGINT and SIGTERM stop the run and all its actors. SIGUSR1 ends only this process: actors wait for the next one.
+    """
     from appl_dist.wire.session import open_session
 
     die_with_parent()
-    stop = stop_event()
-    if not settings.wire.is_loopback and not settings.wire.users_file:
-        log.warning(
-            "%s: anyone who reaches this port can take part; wire.users_file restricts it", settings.wire.endpoint
-        )
+    stop, leave = stop_event(), leave_event()
+    settings, folder = prepare(settings, or_continue=True)
+    if not settings.wire.is_loopback and settings.wire.security == "none":
+        log.warning("%s: anyone who reaches this port can take part; wire=tls restricts it", settings.wire.endpoint)
     with open_session(settings.wire, listen=True) as session:
         try:
             part = build_learner(settings, session)
             try:
-                part.run(stop.is_set)
+                announce(folder, settings.wire.endpoint)
+                part.run(stop.is_set, leave.is_set)
+                announce_gone(folder, ended=not leave.is_set())
             finally:
                 part.close()
         except OSError as error:
@@ -98,19 +106,13 @@ def learner(settings: Settings) -> int:
 
 
 def build_learner(settings: Settings, bus: Bus) -> Learner:
-    """The learner of `settings`, new or continued from its run folder. Raises UserError."""
+    """The learner of `settings`, new or continued from its run folder, which `prepare` has made. Raises UserError."""
     try:
         from appl_dist.learner.main import Learner, Run
     except ImportError as error:
         raise UserError(f"the learner needs torch: pip install 'appl-dist[learner]' ({error})") from None
 
-    folder = Path(settings.run.resume or settings.run.folder or time.strftime("runs/%Y%m%d-%H%M%S"))
-    if settings.run.resume and not (folder / "replay").is_dir():
-        raise UserError(f"run.resume: {folder} is not the folder of a run; expected one that holds replay/")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"run.folder: {folder} cannot be made: {error.strerror}") from None
+    folder = Path(settings.run.folder)
     run = Run(
         run_id=folder.resolve().name,
         folder=folder,
@@ -119,7 +121,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         minutes=settings.run.minutes,
         config=as_dict(settings),
         space=SPACES[settings.env.space],
-        failed_time_s=PROTOCOLS[settings.protocol].failed_time_s,
+        failed_time_s=settings.protocol.failed_time_s,
         sigma=lambda n: settings.explore.sigma(n, settings.run.transitions),
     )
     return Learner(bus, run, settings.learner)
@@ -130,75 +132,126 @@ def actor(settings: Settings) -> int:
     from appl_dist.wire.session import open_session
 
     die_with_parent()
-    stop = stop_event()
-    with open_session(settings.wire, listen=False) as session:
+    own, identity = _who(settings)
+    wire = settings.wire
+    if own.run:
+        where = whereabouts(Path(own.run))
+        if where.ended:
+            log.info("the run in %s has ended", own.run)
+            return 0
+        wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
+    with open_session(wire, listen=False, identity=identity) as session:
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
+        stop = stop_event()  # until here there is nothing to end in order
+        if EVALUATION in served:
+            from appl_dist.launch.spread import drive_trials
+
+            drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
+            return 0
         frozen = from_dict(served)
-        actor_id = settings.actor.id or f"actor-{socket.gethostname()}-{os.getpid()}"
-        spool_folder = Path(settings.actor.spool or Path("spool") / run_id / actor_id)
-        act_in_run(frozen, session, run_id, actor_id, spool_folder, stop.is_set)
+        with open_spool(own, frozen.actor, run_id, identity) as spool:
+            act_in_run(frozen, session, run_id, spool, stop.is_set)
     return 0
+
+
+def _who(settings: Settings) -> tuple[ActorSettings, str]:
+    """(this actor, its identity). Without an id, and a run's folder to choose it in, the actor gets one of its own.
+
+    UserError: the credentials do not cover the id.
+    """
+    wire, own = settings.wire, settings.actor
+    name = ACTOR
+    if wire.security != "none":
+        identity = find(wire.keys, wire.identity or own.id)
+        name = identity.name
+        if own.id and not identity.covers(own.id):
+            raise UserError(f"actor.id: {own.id} is not covered by identity {name}; expected {name}-…")
+    if not own.id and not own.run:
+        own = replace(own, id=f"{name}-{socket.gethostname()}-{os.getpid()}")
+    return own, name
+
+
+def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str, identity: str = ACTOR) -> Spool:
+    """The spool of the actor that `own` describes, as large as `limits` says; its owner's name is the actor's id.
+
+    Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has.
+    """
+    root = Path(own.run) / "spool" if own.run else Path("spool") / run_id
+    if own.id:
+        return _spool(Path(own.spool or root / own.id), own.id, limits, run_id)
+    # Where a dead actor's rollouts wait comes first, so that they are sent by whoever takes its place.
+    names = [f"{identity}-{i}" for i in range(MAX_ACTORS)]
+    waiting = {path.parent.name for path in root.glob(f"{identity}-*/*.rollout")}
+    for name in sorted(names, key=lambda n: n not in waiting):
+        try:
+            return _spool(root / name, name, limits, run_id)
+        except SpoolInUse:
+            continue
+    raise UserError(f"actor.id: all {MAX_ACTORS} names in {root} are in use; give this actor an id")
+
+
+def _spool(folder: Path, actor_id: str, limits: ActorSettings, run_id: str) -> Spool:
+    return Spool(folder, f"{run_id}/{actor_id}", limits.spool_rollouts, limits.spool_megabytes << 20)
 
 
 def act_in_run(
     settings: Settings,
     bus: Bus,
     run_id: str,
-    actor_id: str,
-    spool_folder: Path,
+    spool: Spool,
     stop: Callable[[], bool],
     between_episodes: Callable[[], bool] = lambda: False,
 ) -> int:
-    """One actor's life on any bus; returns the transitions it made.
+    """The life of the actor whose spool this is, on any bus; returns the transitions it made.
 
     between_episodes: asked before every episode; true holds the actor back for a moment.
     """
+    actor_id = spool.owner.rpartition("/")[2]
     env = NavigationEnv(
         worlds_of(settings, settings.world.train),
-        protocol=PROTOCOLS[settings.protocol],
+        protocol=settings.protocol,
         **environment_arguments(settings),
     )
-    limit_bytes = settings.actor.spool_megabytes << 20
-    with Spool(spool_folder, f"{run_id}/{actor_id}", settings.actor.spool_rollouts, limit_bytes) as spool:
-        uploader = Uploader(bus, run_id, actor_id, spool)
-        control = ControlClient(bus, run_id)
-        weights = WeightsSubscriber(bus, run_id)
-        presence = Presence(bus, run_id, "actor", actor_id)
-        try:
-            uploader.start(LEARNER_AWAY_S)
-            seed = actor_seed(settings.run.seed, actor_id, spool.next_seq)
-            explorer = Explorer(weights, env, settings.explore, settings.run.transitions, np.random.default_rng(seed))
-            made = act(
-                env,
-                explorer,
-                spool,
-                seed=seed,
-                stop=lambda: stop() or control.state() == "stop",
-                beat=presence.beat,
-                hold=lambda: between_episodes() or (uploader.held and len(spool) >= HELD_ROLLOUTS),
-            )
-            if not uploader.close(DRAIN_S):
-                log.warning("%d rollouts stay in %s; the next start of this actor sends them", len(spool), spool_folder)
-            return made
-        finally:
-            for part in (uploader, control, weights, presence, env):
-                part.close()
+    uploader = Uploader(bus, run_id, actor_id, spool)
+    control = ControlClient(bus, run_id)
+    weights = WeightsSubscriber(bus, run_id)
+    presence = Presence(bus, run_id, "actor", actor_id)
+    host = socket.gethostname()
+    patience = Patience(lambda: control.learner_present, 60.0 * settings.actor.patience_min)
+    try:
+        uploader.start(LEARNER_AWAY_S, stop)
+        seed = actor_seed(settings.run.seed, actor_id, spool.next_seq)
+        explorer = Explorer(weights, env, settings.explore, settings.run.transitions, np.random.default_rng(seed))
+        made = act(
+            env,
+            explorer,
+            spool,
+            seed=seed,
+            stop=lambda: stop() or control.state() == "stop" or patience.is_over(),
+            beat=lambda progress: presence.beat({**progress, "host": host}),
+            hold=lambda: between_episodes() or (uploader.held and len(spool) >= HELD_ROLLOUTS),
+        )
+        if not uploader.close(DRAIN_S):
+            log.warning("%d rollouts stay in %s; the next start of this actor sends them", len(spool), spool.folder)
+        if patience.is_over():
+            raise UserError(f"no learner of run {run_id} for {settings.actor.patience_min:g} minutes")
+        return made
+    finally:
+        for part in (uploader, control, weights, presence, env):
+            part.close()
 
 
-def evaluate(settings: Settings) -> int:
-    """Compare the configured methods; prints the tables and writes the results."""
-    from appl_dist.evaluate.main import evaluate as run
+class Patience:
+    """Whether something has been away for `limit_s` without a break."""
 
-    folder = settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S")
-    run(
-        list(settings.evaluation.methods.items()),
-        worlds_of(settings, settings.evaluation.worlds),
-        settings.evaluation.trials,
-        folder,
-        protocol=settings.protocol,
-        environment=environment_arguments(settings),
-        workers=settings.evaluation.workers or cores(),
-        seed=settings.run.seed,
-        console=make_console(),
-    )
-    return 0
+    def __init__(
+        self, present: Callable[[], bool], limit_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._present, self._limit_s, self._clock = present, limit_s, clock
+        self._seen_s = clock()
+
+    def is_over(self) -> bool:
+        now_s = self._clock()
+        if self._present():
+            self._seen_s = now_s
+        return now_s - self._seen_s > self._limit_s

@@ -18,8 +18,8 @@ def make_console() -> Console:
     return Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH)
 
 
-def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
-    """A panel for one status of the learner (see learner/main.py); `notes` are lines of the launcher."""
+def render(status: dict[str, Any] | None, notes: list[str], hint: str = "") -> RenderableType:
+    """A panel for one status of the learner (learner/main.py). notes: lines of the launcher; hint: its foot."""
     if status is None:
         return Panel("waiting for the learner …", title="appl-dist train")
     progress = Table.grid(padding=(0, 2), expand=True)
@@ -42,7 +42,7 @@ def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
         "return", _number(status["return"]), "queue", str(status["queue"]),
     )  # fmt: skip
     numbers.add_row(
-        "policy version", str(status["version"]), "staleness", f"{status['staleness']:.1f} versions",
+        "policy version", str(status["version"]), "staleness", _stale(status),
         "noise sigma", f"{status['sigma']:.3f}", "updates", f"{status['updates']:,}",
     )  # fmt: skip
     actors = Table(box=None, header_style="dim", pad_edge=False)
@@ -54,8 +54,11 @@ def render(status: dict[str, Any] | None, notes: list[str]) -> RenderableType:
             f"{a['silent_s']:.0f} s",
         )  # fmt: skip
     rows: list[RenderableType] = [progress, numbers, actors]
+    if status["refused"]:
+        senders = ", ".join(f"{sender} ({n:,})" for sender, n in list(status["refused"].items())[:3])
+        rows.append(f"[yellow]refused messages of {senders}[/yellow]")
     rows += [f"[yellow]{note}[/yellow]" for note in notes[-3:]]
-    return Panel(Group(*rows), title=f"appl-dist train · {status['run_id']}", subtitle="Ctrl-C stops, resumable")
+    return Panel(Group(*rows), title=f"appl-dist · {status['run_id']}", subtitle=hint)
 
 
 def line(status: dict[str, Any]) -> str:
@@ -65,8 +68,12 @@ def line(status: dict[str, Any]) -> str:
         f"({status['transitions_per_s']:.1f}/s), {status['updates']:,} updates ({status['updates_per_s']:.1f}/s), "
         f"{status['episodes']:,} episodes, success {_percent(status['success'])}, "
         f"traversal {_seconds(status['time_s'])}, return {_number(status['return'])}, "
-        f"policy {status['version']}, staleness {status['staleness']:.1f}, {len(status['actors'])} actors"
+        f"policy {status['version']}, staleness {_stale(status)}, {len(status['actors'])} actors"
     )
+
+
+def _stale(status: dict[str, Any]) -> str:
+    return f"{status['staleness']:.1f} versions ({100 * status['stale_share']:.0f} % stale)"
 
 
 def _clock(seconds: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from typing import Any
@@ -11,43 +12,64 @@ import numpy as np
 from appl_dist.spec import Rollout
 
 WINDOW = 200  # episodes
+STALE_VERSIONS = 60  # about a minute, at one policy a second
+
+
+MAX_WORLDS = 100_000
 
 
 class EpisodeStatistics:
     """Means over the last WINDOW episodes. A failed trial counts `failed_time_s`, as in the papers' tables.
 
+    `current`: (epoch, version) of the newest policy. A rollout is stale if its policy was more than STALE_VERSIONS
+    behind when it arrived, or of an earlier learner process: what a spool holds when the learner comes back.
     Rollouts arrive on the wire's thread, figures are read by the learner's: both take the lock.
     """
 
     def __init__(self, failed_time_s: float) -> None:
         self._failed_time_s = failed_time_s
         self._recent: deque[tuple[bool, float, float, int]] = deque(maxlen=WINDOW)
+        self._ages: deque[tuple[int, bool]] = deque(maxlen=WINDOW)  # transitions, stale
         self._worlds: dict[int, tuple[int, int, float]] = {}  # world: episodes, successes, sum of times
         self._lock = threading.Lock()
         self.episodes = 0
-        self.current_version = 0
+        self.current = (0, 0)
 
     def add(self, rollout: Rollout) -> None:
-        """Take an arrived rollout; one that was cut short counts for staleness only."""
-        info = rollout.info
-        staleness = max(0, self.current_version - int(info.get("policy_version", 0)))
-        if not info.get("ended", False):
-            return
-        success = bool(info["success"])
-        time_s = float(info["time_s"]) if success else self._failed_time_s
+        """Take an arrived rollout; one that was cut short counts for staleness only.
+
+        ValueError: its info lacks something or holds what cannot be; nothing was counted.
+        """
+        try:
+            ended, episode, (epoch, version) = _read(rollout.info)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"info: {error!r:.200}") from None
+        now_epoch, now_version = self.current
+        behind = max(0, now_version - version)
         with self._lock:
+            self._ages.append((len(rollout), behind > STALE_VERSIONS or epoch < now_epoch))
+            if not ended:
+                return
+            world, success, time_s, return_ = episode
+            time_s = time_s if success else self._failed_time_s
             self.episodes += 1
-            self._recent.append((success, time_s, float(info["return"]), staleness))
-            n, wins, total = self._worlds.get(int(info["world"]), (0, 0, 0.0))
-            self._worlds[int(info["world"])] = (n + 1, wins + success, total + time_s)
+            self._recent.append((success, time_s, return_, behind))
+            if world in self._worlds or len(self._worlds) < MAX_WORLDS:
+                n, wins, total = self._worlds.get(world, (0, 0, 0.0))
+                self._worlds[world] = (n + 1, wins + success, total + time_s)
 
     def figures(self) -> dict[str, Any]:
-        """episodes, success (share), time_s, return, staleness (policy versions); None before any episode."""
+        """episodes, success (share), time_s, return, staleness (policy versions), stale_share (of transitions).
+
+        None before any episode.
+        """
         with self._lock:
-            recent = list(self._recent)
+            recent, ages = list(self._recent), list(self._ages)
             episodes = self.episodes
+        share = sum(n for n, stale in ages if stale) / max(sum(n for n, _ in ages), 1)
         if not recent:
-            return {"episodes": 0, "success": None, "time_s": None, "return": None, "staleness": 0.0}
+            none: dict[str, Any] = dict.fromkeys(("success", "time_s", "return"))
+            return {"episodes": 0, **none, "staleness": 0.0, "stale_share": share}
         success, time_s, return_, staleness = (float(np.mean(column)) for column in zip(*recent, strict=True))
         return {
             "episodes": episodes,
@@ -55,9 +77,19 @@ class EpisodeStatistics:
             "time_s": time_s,
             "return": return_,
             "staleness": staleness,
+            "stale_share": share,
         }
 
     def worlds(self) -> dict[int, tuple[int, float, float]]:
         """Per world: episodes, success (share), mean time_s."""
         with self._lock:
             return {w: (n, wins / n, total / n) for w, (n, wins, total) in self._worlds.items()}
+
+
+def _read(info: dict[str, Any]) -> tuple[bool, tuple[int, bool, float, float], tuple[int, int]]:
+    """(ended, (world, success, time_s, return), (policy epoch, version)) of a rollout's info, checked."""
+    numbers = [float(info["time_s"]), float(info["return"])]
+    if not all(math.isfinite(number) for number in numbers):
+        raise ValueError(f"time_s, return: got {numbers}; expected finite numbers")
+    policy = int(info["policy_epoch"]), int(info["policy_version"])
+    return bool(info["ended"]), (int(info["world"]), bool(info["success"]), numbers[0], numbers[1]), policy

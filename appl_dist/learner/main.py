@@ -47,6 +47,7 @@ SCALARS = {
     "return": "episode/return",
     "episodes": "episode/count",
     "staleness": "policy/staleness",
+    "stale_share": "policy/stale_share",
     "version": "policy/version",
     "sigma": "policy/noise_sigma",
     "transitions_per_s": "rate/transitions_per_s",
@@ -84,6 +85,7 @@ class Learner:
         )  # fmt: skip
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
+        self._started = time.monotonic()
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
         self.checkpoints.reserve(self.td3)
@@ -91,7 +93,6 @@ class Learner:
         self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
         self.statistics = EpisodeStatistics(run.failed_time_s)
         self.metrics = MetricsWriter(run.folder)
-        self._started = time.monotonic()
         self._rates = _Rates()
         self._publishing = _Every(settings.publish_every_s)
         self._reporting = _Every(settings.report_every_s)
@@ -104,18 +105,25 @@ class Learner:
         self.roster = Roster(bus, run.run_id)
         self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
         self.control = ControlServer(
-            bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=lambda: self._status
+            bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=self._status_told
         )
 
-    def run(self, stop: Callable[[], bool]) -> None:
+    def run(self, stop: Callable[[], bool], leave: Callable[[], bool] = lambda: False) -> None:
         """Train until the run's transitions or minutes are reached, or `stop()`; then stop all actors.
+
+        After `leave()` only keep what a successor needs: the actors go on and wait for it.
 
         Raises UserError, naming the last good checkpoint, if training diverges.
         """
-        while not stop() and not self.finished:
+        while not stop() and not leave() and not self.finished:
             if not self.step():
                 time.sleep(IDLE_S)
-        self.end()
+        if leave():
+            self.save()
+            self.checkpoints.wait()
+            log.info("left at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+        else:
+            self.end()
 
     def step(self) -> bool:
         """One update if the limiter allows it, and whatever else is due; whether there was an update."""
@@ -140,7 +148,12 @@ class Learner:
             self.save()
             self.checkpoints.wait()
         self._report()
-        log.info("ended at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+        counts, refused = self.server.counts, self.server.refused()
+        log.info(
+            "ended at %d transitions, %d updates; this process stored %d rollouts, answered %d repeats, refused %d%s",
+            self.replay.transitions_total, self.td3.updates, counts["stored"], counts["duplicate"], counts["refused"],
+            f" (most of {', '.join(refused)})" if refused else "",
+        )  # fmt: skip
 
     def save(self) -> None:
         """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
@@ -174,7 +187,7 @@ class Learner:
     @property
     def finished(self) -> bool:
         """Whether the run has its transitions, or its minutes are over."""
-        minutes = (time.monotonic() - self._started) / 60.0
+        minutes = self._elapsed_s() / 60.0
         return self.replay.transitions_total >= self.run_info.transitions or 0.0 < self.run_info.minutes <= minutes
 
     def _resume(self) -> int:
@@ -184,12 +197,22 @@ class Learner:
         found = self.checkpoints.load(self.td3, self.rng)
         if found is not None:
             self.version = int(found["version"])
+            self._started -= float(found["elapsed_s"])
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
         write_atomic(file, json.dumps({"epoch": epoch}))
         return int(epoch)
 
     def _counts(self) -> dict[str, Any]:
-        return {"version": self.version, "epoch": self.epoch, "transitions": self.replay.transitions_total}
+        return {
+            "version": self.version,
+            "epoch": self.epoch,
+            "transitions": self.replay.transitions_total,
+            "elapsed_s": self._elapsed_s(),
+        }
+
+    def _elapsed_s(self) -> float:
+        """How long this run has trained, earlier learner processes up to their last checkpoint included."""
+        return time.monotonic() - self._started
 
     def _samples(self) -> int:
         return self.td3.updates * self.settings.td3.batch_size
@@ -216,8 +239,12 @@ class Learner:
 
     def _publish(self) -> None:
         self.version += 1
-        self.statistics.current_version = self.version
-        self.publisher.publish(self.epoch, self.version, self._policy().to_bytes())
+        self.statistics.current = (self.epoch, self.version)
+        try:
+            blob = self._policy().to_bytes(half=True)
+        except ValueError as error:  # a weight that is not finite, or beyond float16
+            raise Diverged(str(error)) from None
+        self.publisher.publish(self.epoch, self.version, blob)
 
     def _report(self) -> None:
         self._rates.mark(self.replay.transitions_total, self.td3.updates)
@@ -241,6 +268,10 @@ class Learner:
             for k, v in numbers.items()
         }
 
+    def _status_told(self) -> dict[str, Any]:
+        """The last status, with its age: a learner that hangs still answers, from the wire's thread."""
+        return {**self._status, "age_s": self._elapsed_s() - self._status["elapsed_s"]}
+
     def _status_now(self) -> dict[str, Any]:
         """What the terminal view, the metrics file and TensorBoard show."""
         transitions = self.replay.transitions_total
@@ -256,6 +287,7 @@ class Learner:
                             "version": m.progress.get("policy_version", -1),
                             "pending": m.progress.get("pending", 0),
                             "silent_s": m.silent_s,
+                            "host": str(m.progress.get("host", "")),
                         }
                     )
         return {
@@ -263,10 +295,11 @@ class Learner:
             "run_transitions": self.run_info.transitions,
             "transitions": transitions,
             "updates": self.td3.updates,
-            "elapsed_s": time.monotonic() - self._started,
+            "elapsed_s": self._elapsed_s(),
             "transitions_per_s": self._rates.transitions_per_s,
             "updates_per_s": self._rates.updates_per_s,
             "samples_per_insert": self._samples() / max(transitions, 1),
+            "refused": self.server.refused() if hasattr(self, "server") else {},
             "queue": sum(a["pending"] for a in actors),
             "version": self.version,
             "sigma": self.run_info.sigma(transitions),
@@ -284,7 +317,10 @@ class _Sink:
     def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
         ack = self._ingest.store(header, rollout)
         if ack.status == "stored":
-            self._learner.statistics.add(rollout)
+            try:
+                self._learner.statistics.add(rollout)
+            except ValueError as error:  # its transitions are good: only the figures go without it
+                log.warning("actor %s: an episode without usable figures: %s", header.actor, error)
         return ack
 
     def expected_seq(self, actor_id: str) -> int:

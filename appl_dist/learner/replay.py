@@ -13,6 +13,7 @@ the ring has overwritten.
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from dataclasses import dataclass
@@ -63,6 +64,19 @@ class Batch:
     next_observations: FloatArray
     rows: Rows | None = None
     weights: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Stored:
+    """One rollout as replay holds it, without its scans: other (n + 1, k) of the observations, actions (n, a),
+    rewards (n,).
+    """
+
+    actor: str
+    seq: int
+    other: FloatArray
+    actions: FloatArray
+    rewards: FloatArray
 
 
 class Replay:
@@ -135,6 +149,33 @@ class Replay:
                 self._priorities.enter(int(entry["start"]) % self._rows_count, int(entry["length"]))
         if self._claim is not None:
             self._claim.complete()
+
+    @classmethod
+    def reopen(cls, folder: str | Path) -> Replay:
+        """The replay in `folder` with the sizes it was made with, to look at what it holds. UserError: none there."""
+        try:
+            meta = json.loads((Path(folder) / "meta.json").read_text())
+            names = ("capacity", "observation_size", "scan_size", "action_size", "scan_dtype")
+            sizes = {name: meta[name] for name in names}
+        except (OSError, ValueError, TypeError, KeyError) as e:
+            raise UserError(f"replay folder {folder}: meta.json cannot be read: {e}") from None
+        return cls(folder, n_step=1, gamma=1.0, **sizes)
+
+    def rollouts(self) -> list[Stored]:
+        """Every rollout it still holds, oldest first; views of its own memory."""
+        names = {slot: name for name, slot in self._slots.items()}
+        found = []
+        for number in range(int(self._header.data["evicted"][0]), self.rollouts_total):
+            entry = self._index.data[number % len(self._index.data)]
+            n, start = int(entry["length"]), int(entry["start"]) % self._rows_count
+            rows = self._rows.data[start : start + n + 1]
+            actor, seq = names[int(entry["actor"])], int(entry["seq"])
+            found.append(Stored(actor, seq, rows["other"], rows["action"][:n], rows["reward"][:n]))
+        return found
+
+    def actor_ids(self) -> list[str]:
+        """Every actor that ever stored a rollout."""
+        return list(self._slots)
 
     # ---- what is in it
 

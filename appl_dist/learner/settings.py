@@ -70,7 +70,7 @@ class LearnerSettings:
     min_transitions: int = 1000
     publish_every_s: float = 1.0
     report_every_s: float = 1.0
-    checkpoint_every_s: float = 60.0
+    checkpoint_every_s: float = 20.0
     detail_every: int = 50
 
     def __post_init__(self) -> None:

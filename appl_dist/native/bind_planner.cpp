@@ -45,6 +45,13 @@ planner_settings settings_of(nb::handle from) {
     return s;
 }
 
+bool is_fast(nb::handle settings) {
+    const std::string name = nb::cast<std::string>(nb::str(settings.attr("arithmetic")));
+    if (name != "exact" && name != "fast")
+        throw nb::value_error(("arithmetic: got " + name + "; allowed exact, fast").c_str());
+    return name == "fast";
+}
+
 planner_parameters parameters_of(const Array &values, const planner_settings &set) {
     const double *v = checked<const double>(values, "values", {8});
     const planner_parameters p = {v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]};
@@ -62,7 +69,7 @@ public:
         memory_.reset(static_cast<char *>(std::calloc(1, bytes_ + 64)));
         if (!memory_) throw std::bad_alloc();
         char *aligned = memory_.get() + (64 - reinterpret_cast<uintptr_t>(memory_.get()) % 64) % 64;
-        n_ = navigator_init(aligned, &set, &par);
+        n_ = navigator_init(aligned, &set, &par, is_fast(settings));
     }
 
     void reset(const Array &goal) {

@@ -44,6 +44,7 @@ class Vehicle {
     int drive_free(int ms, double margin_m, int least_ms) {
         if (ms < 0 || least_ms < 1) throw nb::value_error("drive_free: ms must be at least 0 and least_ms at least 1");
         int done = 0;
+        state_.ground_force = spec_.mass * 9.8;
         while (done < ms) {
             int step = spec_.ideal ? ms : std::min(ms - done, AHEAD_MS);
             if (!spec_.ideal && !is_free(step, margin_m)) {
@@ -63,6 +64,9 @@ class Vehicle {
         const double per_s = 1e3 / ms;
         return {(state_.x - before_.x) * per_s, (state_.y - before_.y) * per_s, (state_.yaw - before_.yaw) * per_s};
     }
+
+    // Grip follows what the wheels stand on the ground with: `force` N until the next free motion.
+    void load(double force) { state_.ground_force = force; }
 
     // Replace a prediction's end by where contacts put base_link, and add the change of velocity they made.
     void correct(double x, double y, double yaw, double dvx, double dvy, double dw) {
@@ -165,7 +169,8 @@ void bind_sim(nb::module_ &m) {
         .def_rw("ideal", &vehicle_spec::ideal)
         .def_rw("odom_gain_v", &vehicle_spec::odom_gain_v)
         .def_rw("odom_gain_w", &vehicle_spec::odom_gain_w)
-        .def_rw("odom_noise_w", &vehicle_spec::odom_noise_w);
+        .def_rw("odom_noise_w", &vehicle_spec::odom_noise_w)
+        .def_rw("odom_noise_yaw", &vehicle_spec::odom_noise_yaw);
 
     nb::class_<Vehicle>(m, "Vehicle", "A Jackal's planar motion among cylinders, advanced in steps of 1 ms.")
         .def(nb::init<const vehicle_spec &>(), nb::arg("spec"))
@@ -173,6 +178,7 @@ void bind_sim(nb::module_ &m) {
         .def("command", &Vehicle::command, nb::arg("v"), nb::arg("w"), nb::arg("age_ms"))
         .def("drive_free", &Vehicle::drive_free, nb::arg("ms"), nb::arg("margin_m"), nb::arg("least_ms") = 4)
         .def("predict", &Vehicle::predict, nb::arg("ms"))
+        .def("load", &Vehicle::load, nb::arg("force"))
         .def("correct", &Vehicle::correct)
         .def("clearance", &Vehicle::clearance, nb::arg("limit_m"))
         .def_prop_ro("time_ms", [](const Vehicle &v) { return v.state().time_ms; })
@@ -181,7 +187,10 @@ void bind_sim(nb::module_ &m) {
         .def_prop_ro("twist", &Vehicle::twist, "forward, left, yaw rate of base_link")
         .def_prop_ro("wheels", [](const Vehicle &v) { return std::make_tuple(v.state().wheel_v, v.state().wheel_w); })
         .def_prop_ro("odom_pose",
-                     [](const Vehicle &v) { return Triple(v.state().odom_x, v.state().odom_y, v.state().yaw); })
+                     [](const Vehicle &v) { 
+                         const vehicle_state &s = v.state();
+                         return Triple(s.odom_x, s.odom_y, s.yaw + s.odom_yaw_error);
+                     })
         .def_prop_ro("odom_twist",
                      [](const Vehicle &v) { return std::make_tuple(v.state().odom_v, v.state().odom_w); });
 

@@ -35,7 +35,7 @@ T *checked(const Array &a, const char *name, std::initializer_list<long> shape) 
     if (!ok)
         throw nb::value_error((std::string(name) + ": expected shape " + want + "), got " + shape_text(a)).c_str());
     long stride = 1;
-    for (size_t k = a.ndim(); k-- > 0;) {
+    for (size_t k = a.size() ? a.ndim() : 0; k-- > 0;) {  // strides of nothing say nothing
         if (a.shape(k) > 1 && a.stride(k) != stride)
             throw nb::value_error((std::string(name) + ": expected a C-contiguous array").c_str());
         stride *= static_cast<long>(a.shape(k));

@@ -9,6 +9,9 @@ ros-planning/navigation for the defaults those files leave alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
+
+Arithmetic = Literal["exact", "fast"]
 
 # move_base's four recoveries: two clearings of a layer that does not exist, two rotations.
 RECOVERY_BEHAVIOURS = 4
@@ -63,3 +66,10 @@ class PlannerSettings:
     planner_patience: float = 5.0
     rotate_max_vel_theta: float = 1.57  # rotate_recovery reads it once at start
     rotate_granularity_rad: float = 0.017
+    # "exact": every plan and command is that of the ROS code, bit for bit. "fast": the global plan's wave is cut closer
+    # to what it needs, which moves plans by micrometres as a rule and by millimetres in one of a hundred.
+    arithmetic: Arithmetic = "exact"
+
+    def __post_init__(self) -> None:
+        if self.arithmetic not in get_args(Arithmetic):
+            raise ValueError(f"planner.arithmetic: got {self.arithmetic!r}; allowed {', '.join(get_args(Arithmetic))}")

@@ -1,6 +1,7 @@
 """Checks of the planner against vectors recorded from the real ROS code, one function a kind of file.
 
-Every check yields `Tally`s: how many of a thing are equal, to the bit, and the largest difference seen.
+Every check yields `Tally`s: how many of a thing are equal, to the bit, and the largest difference seen. `arithmetic` is
+that of PlannerSettings.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from appl_dist._native import Planner
 from appl_dist.planner import ideal_drive
 from appl_dist.planner.navigator import Navigator, State
-from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.planner.parameters import Arithmetic, PlannerSettings
 from appl_dist.spec import DWA
 
 Array = NDArray[np.float64]
@@ -78,13 +79,14 @@ def parameter_values(params: Record, inflation_radius: float) -> Array:
     return np.array([*listed, inflation_radius], np.float64)
 
 
-def settings_of(scene: Record, meter_scoring: bool) -> PlannerSettings:
+def settings_of(scene: Record, meter_scoring: bool, arithmetic: Arithmetic = "exact") -> PlannerSettings:
     """Settings of a scene or an episode: its own where it names them, else the Jackal's."""
     params = scene["params"]
     known = {n: params[n] for n in PlannerSettings.__dataclass_fields__ if n in params}
     corners = np.abs(np.array(scene["footprint"]))
     known |= {
         "meter_scoring": meter_scoring,
+        "arithmetic": arithmetic,
         "half_length_m": float(corners[:, 0].max()),
         "half_width_m": float(corners[:, 1].max()),
         "footprint_padding": scene["footprint_padding"],
@@ -189,7 +191,7 @@ def inflated_maps(data: Any) -> Iterator[Tally]:
     yield from (maps, cells)
 
 
-def global_plans(data: Any) -> Iterator[Tally]:
+def global_plans(data: Any, arithmetic: Arithmetic = "exact") -> Iterator[Tally]:
     """navfn.npz: NavfnROS::makePlan, and potentials and costs where stored."""
     plans, found = Tally("plans", "m"), Tally("plans found or refused", "")
     potentials, costs = Tally("potential cells", ""), Tally("cost cells", "cost")
@@ -201,7 +203,8 @@ def global_plans(data: Any) -> Iterator[Tally]:
     resolution, shape, origin = float(data["resolution"]), data["shape"], data["origin"]
     if shape[0] != shape[1]:
         raise ValueError(f"shape: got {shape[0]} x {shape[1]} cells; expected a square map")
-    settings = PlannerSettings(resolution_m=resolution, global_size_m=int(shape[0]) * resolution)
+    size_m = int(shape[0]) * resolution
+    settings = PlannerSettings(resolution_m=resolution, global_size_m=size_m, arithmetic=arithmetic)
     for i in range(len(arrays["ok"])):
         values = DWA.defaults
         values[DWA.names.index("inflation_radius")] = arrays["inflation_radius"][i]
@@ -224,6 +227,29 @@ def global_plans(data: Any) -> Iterator[Tally]:
         yield from (potentials, costs)
 
 
+def episode_commands(records: Iterator[Record], arithmetic: Arithmetic) -> Iterator[Tally]:
+    """sim.jsonl tick by tick: the command from the recorded poses and twists, whatever was commanded before."""
+    commands = Tally("commands from recorded poses", "m/s or rad/s")
+    for record in records:
+        for k, (navigator, pose, twist, scan, want) in enumerate(_recorded_ticks(record, arithmetic)):
+            _, command = _ideal_tick(navigator, k, scan, pose, twist, k * CONTROL_PERIOD_S)
+            commands.add(command, want[6:8])
+    yield commands
+
+
+def _recorded_ticks(
+    record: Record, arithmetic: Arithmetic
+) -> Iterator[tuple[Navigator, Array, Array, Any, list[float]]]:
+    episode = record["episode"]
+    navigator, settings, cylinders = _start(episode, arithmetic)
+    schedule = list(episode.get("schedule") or [])
+    for k, want in enumerate(record["out"]["ticks"]):
+        _apply_schedule(navigator, schedule, k * CONTROL_PERIOD_S)
+        pose, twist = np.array(want[1:4], np.float64), np.array(want[4:6], np.float64)
+        scan = ideal_drive.cast_scan(cylinders, pose, settings.laser_x_m, settings.beams, settings.angle_max_rad)
+        yield navigator, pose, twist, scan, want
+
+
 def episodes(records: Iterator[Record], full: Any | None) -> Iterator[Tally]:
     """sim.jsonl: closed loops with the ideal drive; `full`: the npz with scans and maps of some of them."""
     ticks, ends = Tally("ticks", "m, rad, m/s or rad/s"), Tally("episodes to their last tick", "")
@@ -242,18 +268,13 @@ def _replay(
     episode: Record, out: Record, stored: Record, ticks: Tally, plans: Tally, scans: Tally, maps: Tally
 ) -> bool:
     """One episode, in our own closed loop; whether every tick and the way it ended are equal."""
-    settings = settings_of(episode, episode["meter_scoring"])
-    navigator = Navigator(settings, parameter_values(episode["params"], episode["inflation_radius"]))
-    navigator.reset(np.array([*episode["goal"], episode["goal_yaw"]]))
+    navigator, settings, cylinders = _start(episode, "exact")
     pose, twist = np.array(episode["start"], np.float64), np.zeros(2)
-    cylinders = np.array(episode["cyl"], np.float64).reshape(-1, 3)
     schedule = list(episode.get("schedule") or [])
     before, end = ticks.equal, "timeout"
     for k, want in enumerate(out["ticks"]):
         now = k * CONTROL_PERIOD_S
-        while schedule and schedule[0]["t"] <= now + 1e-9:
-            change = schedule.pop(0)
-            navigator.set_parameters(parameter_values(change["params"], change["inflation_radius"]))
+        _apply_schedule(navigator, schedule, now)
         scan = ideal_drive.cast_scan(cylinders, pose, settings.laser_x_m, settings.beams, settings.angle_max_rad)
         planned, command = _ideal_tick(navigator, k, scan, pose, twist, now)
         gap = ideal_drive.clearance(cylinders, pose)
@@ -270,6 +291,20 @@ def _replay(
     if navigator.state == State.CLEARING:
         end = "clearing"
     return ticks.equal - before == len(out["ticks"]) and out["end"].startswith(end)
+
+
+def _start(episode: Record, arithmetic: Arithmetic) -> tuple[Navigator, PlannerSettings, Array]:
+    """The navigator on its way to the episode's goal, its settings, and the cylinders (n, 3)."""
+    settings = settings_of(episode, episode["meter_scoring"], arithmetic)
+    navigator = Navigator(settings, parameter_values(episode["params"], episode["inflation_radius"]))
+    navigator.reset(np.array([*episode["goal"], episode["goal_yaw"]]))
+    return navigator, settings, np.array(episode["cyl"], np.float64).reshape(-1, 3)
+
+
+def _apply_schedule(navigator: Navigator, schedule: list[Record], now: float) -> None:
+    while schedule and schedule[0]["t"] <= now + 1e-9:
+        change = schedule.pop(0)
+        navigator.set_parameters(parameter_values(change["params"], change["inflation_radius"]))
 
 
 def _ideal_tick(

@@ -3,7 +3,9 @@
 Traction does not come from here. Wheels and ground are frictionless in pybullet; the tyre forces of
 csrc/tyres.c move the robot, and this body is given the velocity they give, so that only contacts with obstacles
 (and the ground, in height and tilt) change its motion. Wheels spin as commanded and have their friction against
-obstacles. Where nothing is in reach there is nothing to resolve, and the body is left where it was.
+obstacles; how hard they stand on the ground is told to the tyre model, for a robot that climbs has less grip. Solver
+and friction are as in Gazebo's ODE: 50 iterations, a friction pyramid, motors without a torque limit. Where nothing is
+in reach there is nothing to resolve, and the body is left where it was.
 """
 
 from __future__ import annotations
@@ -20,9 +22,10 @@ from appl_dist.sim.worlds import Floats
 URDF = Path(__file__).with_name("jackal.urdf")
 CYLINDERS_PER_BODY = 16  # the most createCollisionShapeArray takes
 CYLINDER_LENGTH_M = 1.0  # centred on the ground plane, as in the world files
-SOLVER_ITERATIONS = 10
+SOLVER_ITERATIONS = 50  # as Gazebo's
 WHEEL_JOINTS = (0, 1, 2, 3)  # front left, front right, rear left, rear right
-WHEEL_TORQUES = (100.0,) * 4  # N m: the URDF sets no effort limit
+# N m: the URDF sets no effort limit. A wheel that stalled in a collision would not climb the obstacle as Gazebo's does.
+WHEEL_TORQUES = (1e6,) * 4
 FLAT_RAD = 1e-3  # less tilt than this is bullet's contact slop, and is taken out
 
 
@@ -71,6 +74,7 @@ class BulletBody:
         self.touching = False  # an obstacle, in the last step
         self.held = False  # contacts, not the tyre model, have the last word on where the robot is
         self._vertical = (0.0, 0.0, 0.0)  # vz and the roll and pitch rates, world frame
+        self.ground_force_n = 0.0  # in the last step
         self._height = 0.0  # of the base body's centre of mass
 
     def close(self) -> None:
@@ -89,7 +93,10 @@ class BulletBody:
         p.resetSimulation(physicsClientId=client)
         p.setGravity(0.0, 0.0, -9.8, physicsClientId=client)
         p.setPhysicsEngineParameter(
-            numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1, physicsClientId=client
+            numSolverIterations=SOLVER_ITERATIONS,
+            enableConeFriction=0,  # a pyramid, as in ODE
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
         )
         # Without a given visual shape pybullet tessellates one for every one: 5 ms a body, not 0.3.
         visual = p.createVisualShape(p.GEOM_BOX, halfExtents=[0.001] * 3, physicsClientId=client)
@@ -162,7 +169,7 @@ class BulletBody:
         (ax, ay, az), (gx, gy, gz) = p.getBaseVelocity(robot, physicsClientId=client)
         self._vertical = (az, gx, gy)
         self.tilt_rad = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (qx * qx + qy * qy))))
-        self.touching = self._touches()
+        self._read_contacts()
         self.held = self.touching or self.tilt_rad > FLAT_RAD
         yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
         yaw += 2.0 * math.pi * round((pose[2] - yaw) / (2.0 * math.pi))  # the yaw outside is not wrapped
@@ -198,13 +205,15 @@ class BulletBody:
         p.stepSimulation(physicsClientId=client)
         return ux, uy
 
-    def _touches(self) -> bool:
-        """Whether the last step's contacts hold one between the robot and an obstacle."""
+    def _read_contacts(self) -> None:
+        """Whether the last step's contacts hold one with an obstacle, and how hard the robot stands on the ground."""
+        self.touching, self.ground_force_n = False, 0.0
         for contact in p.getContactPoints(bodyA=self._robot, physicsClientId=self._client):
             # [2] the other body, [8] distance, [9] normal force; bullet also lists pairs that are only near.
-            if contact[2] != self._ground and (contact[8] <= 0.0 or contact[9] > 0.0):
-                return True
-        return False
+            if contact[2] == self._ground:
+                self.ground_force_n += contact[9]
+            elif contact[8] <= 0.0 or contact[9] > 0.0:
+                self.touching = True
 
     def ray_ranges(self, starts: list[list[float]], ends: list[list[float]]) -> list[float]:
         """Fraction of each ray that is free, 1 = no hit: the slow twin csrc/lidar.c is tested against."""

@@ -41,6 +41,7 @@ class RobotSettings:
     odom_gain_v: float = 0.5
     odom_gain_w: float = 0.95
     odom_noise_w_radps: float = 0.005
+    odom_noise_yaw_rad: float = 0.005  # the IMU's heading noise, which the EKF follows
 
     def __post_init__(self) -> None:
         if self.drive not in DRIVES:
@@ -55,6 +56,7 @@ class RobotSettings:
         _require("robot.odom_gain_v", self.odom_gain_v, 0.0, 1.0)
         _require("robot.odom_gain_w", self.odom_gain_w, 0.0, 1.0)
         _require("robot.odom_noise_w_radps", self.odom_noise_w_radps, 0.0, 1.0)
+        _require("robot.odom_noise_yaw_rad", self.odom_noise_yaw_rad, 0.0, 0.5)
 
     def native(self) -> VehicleSpec:
         """The same as the C core's struct."""
@@ -70,6 +72,7 @@ class RobotSettings:
         spec.ideal = int(self.drive == "ideal")
         spec.odom_gain_v, spec.odom_gain_w = self.odom_gain_v, self.odom_gain_w
         spec.odom_noise_w = self.odom_noise_w_radps
+        spec.odom_noise_yaw = self.odom_noise_yaw_rad
         return spec
 
 

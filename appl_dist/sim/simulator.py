@@ -1,6 +1,6 @@
 """One Jackal in one BARN world: command in; pose, odometry, scan and contact out.
 
-Free motion is csrc/tyres.c in steps of 1 ms. Where the robot could touch something within the next 4 ms, pybullet
+Free motion is csrc/tyres.c in steps of 1 ms. Where the robot could touch something within the next 2 ms, pybullet
 steps along with it: contacts found there change pose and velocity, and the tyre model goes on from them. Anywhere
 else flat ground is all there is to touch, and pybullet is neither stepped nor, before an episode's first such place,
 even given the world.
@@ -20,11 +20,29 @@ from appl_dist.sim.bullet import BulletBody, Pose
 from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from appl_dist.sim.worlds import Floats, World
 
-CONTACT_MS = 4  # pybullet step where an obstacle is in reach: 8 mm at full speed
+CONTACT_MS = 2  # pybullet step where an obstacle is in reach; crashes at 2 m/s come out as with 1, and not with 4
 GLIDE_MS = 20  # how often the ideal drive looks for collisions
+HARDEST_N = 400.0  # twice the weight: more is a jolt of one step
 NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
 CLEARANCE_LIMIT_M = 100.0
+FARTHEST = 1e4  # m and rad: where numbers stop being a place
+LONGEST_STEP_S = 60.0
+OLDEST_COMMAND_S = 1e6
+
+
+def _checked_cylinders(world: World) -> Floats:
+    cylinders = np.array(world.cylinders, np.float64, order="C")
+    if cylinders.ndim != 2 or cylinders.shape[1] != 3:
+        raise ValueError(f"{world.name}: cylinders: got shape {cylinders.shape}; expected (n, 3) x, y, radius")
+    sensible = (np.abs(cylinders) <= FARTHEST).all(axis=1) & (cylinders[:, 2] > 0.0)
+    if not sensible.all():
+        bad = int(np.argmin(sensible))
+        raise ValueError(
+            f"{world.name}: cylinder {bad}: got {cylinders[bad].tolist()}; "
+            f"expected x, y within +-{FARTHEST:g} and radius > 0"
+        )
+    return cylinders
 
 
 class Simulator:
@@ -60,15 +78,16 @@ class Simulator:
     def reset(self, world: World, seed: int, pose: NDArray) -> None:
         """Put the robot at rest at `pose` (3,) x, y, yaw in `world`; time and odometry start anew.
 
-        Raises ValueError if the pose is not three finite numbers, or lies in an obstacle.
+        Raises ValueError if the pose is not three sensible numbers or lies in an obstacle, or if the world's
+        cylinders are not (n, 3) x, y, radius > 0.
         """
         start = np.array(pose, np.float64)
-        if start.shape != (3,) or not np.isfinite(start).all():
-            raise ValueError(f"pose: got {pose!r}; expected three finite numbers x, y, yaw")
+        if start.shape != (3,) or not (np.abs(start) <= FARTHEST).all():
+            raise ValueError(f"pose: got {pose!r}; expected x, y, yaw, each within +-{FARTHEST:g}")
         if not 0 <= seed < 1 << 64:
             raise ValueError(f"seed: got {seed}; allowed 0..2^64-1")
         self._seed = seed
-        self._cylinders = np.array(world.cylinders, np.float64, order="C")
+        self._cylinders = _checked_cylinders(world)
         self._vehicle.reset(start, seed, self._cylinders)
         if self.clearance_m < 0.0:
             raise ValueError(f"pose: ({start[0]:g}, {start[1]:g}) lies in an obstacle of {world.name}")
@@ -87,11 +106,13 @@ class Simulator:
         command_age_s: how long before this step it was received. Once older than the time-out (0.25 s), also
         within one long step, the robot brakes.
         """
-        ms = round(1000.0 * dt_s)
         if not self._ready:
             raise RuntimeError("step: no world yet; call reset first")
+        ms = round(1000.0 * dt_s) if 0.0 < dt_s <= LONGEST_STEP_S else 0
         if ms < 1 or abs(1000.0 * dt_s - ms) > 1e-6:
-            raise ValueError(f"dt_s: got {dt_s!r}; allowed multiples of 0.001 s")
+            raise ValueError(f"dt_s: got {dt_s!r}; allowed multiples of 0.001 s up to {LONGEST_STEP_S:g} s")
+        if not 0.0 <= command_age_s <= OLDEST_COMMAND_S:
+            raise ValueError(f"command_age_s: got {command_age_s!r}; allowed 0..{OLDEST_COMMAND_S:g} s")
         v, w = float(command[0]), float(command[1])
         if not (math.isfinite(v) and math.isfinite(w)):
             raise ValueError(f"command: got ({v}, {w}); both must be finite")
@@ -140,6 +161,7 @@ class Simulator:
         self.in_collision = body.touching
         if body.held:
             vehicle.correct(*motion)
+            vehicle.load(min(body.ground_force_n, HARDEST_N))
         self.collided |= self.in_collision
         self.rolled_over |= body.tilt_rad > ROLLED_OVER_RAD
 
@@ -166,6 +188,12 @@ class Simulator:
         """True x, y of base_link, world frame."""
         x, y, _ = self._vehicle.pose
         return x, y
+
+    @property
+    def motion(self) -> tuple[float, float, float, float, float]:
+        """True x, y, yaw, forward speed and yaw rate, without an array."""
+        forward, _, w = self._vehicle.twist
+        return (*self._vehicle.pose, forward, w)
 
     @property
     def pose(self) -> Floats:
@@ -195,7 +223,7 @@ class Simulator:
 
     @property
     def odom_pose(self) -> Floats:
-        """(3,) x, y, yaw by odometry: wheel speed integrated along the true yaw, from the true start."""
+        """(3,) x, y by odometry: wheel speed integrated along the true yaw, from the true start; yaw with noise."""
         return np.array(self._vehicle.odom_pose)
 
     @property

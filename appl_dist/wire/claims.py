@@ -13,6 +13,7 @@ from appl_dist.wire import keys
 from appl_dist.wire.bus import Bus
 
 FREE = float("-inf")  # last spoke: never, so that grace does not hold
+MAX_OWNERS = 1 << 16
 
 
 class Claims:
@@ -31,13 +32,23 @@ class Claims:
         self._watch = bus.watch(keys.claim(run_id, keys.ANY, keys.ANY), self._seen)
 
     def take(self, actor: str, incarnation: str) -> bool:
-        """Make `incarnation` the owner of `actor`; False while another live process is."""
+        """Make `incarnation` the owner of `actor`; False while another live process is, or MAX_OWNERS are."""
         with self._lock:
             owner, spoke_s = self._owners.get(actor, (incarnation, 0.0))
             if owner != incarnation and ((actor, owner) in self._tokens or self._clock() - spoke_s < self._grace_s):
                 return False
+            if actor not in self._owners and len(self._owners) >= MAX_OWNERS:
+                self._forget_gone()
+                if len(self._owners) >= MAX_OWNERS:
+                    return False
             self._owners[actor] = (incarnation, self._clock())
             return True
+
+    def knows(self, actor: str) -> bool:
+        """Whether a process claimed `actor` and still stands, or did a moment ago."""
+        with self._lock:
+            owner, spoke_s = self._owners.get(actor, ("", FREE))
+            return (actor, owner) in self._tokens or self._clock() - spoke_s < self._grace_s
 
     def holds(self, actor: str, incarnation: str) -> bool:
         """Whether `incarnation` owns `actor`; refreshes its claim if so.
@@ -52,6 +63,14 @@ class Claims:
             if spoke_s != FREE or (actor, incarnation) in self._tokens:
                 self._owners[actor] = (incarnation, self._clock())
             return True
+
+    def _forget_gone(self) -> None:
+        now_s = self._clock()
+        self._owners = {
+            actor: (owner, spoke_s)
+            for actor, (owner, spoke_s) in self._owners.items()
+            if (actor, owner) in self._tokens or now_s - spoke_s < self._grace_s
+        }
 
     def _seen(self, key: str, present: bool) -> None:
         *_, actor, incarnation = key.split("/")

@@ -141,12 +141,12 @@ def decode_rollout(blob: bytes) -> Rollout:
     return rollout
 
 
-def transitions_in(blob: bytes) -> int:
-    """How many transitions the blob says it holds; ValueError if it is not a rollout."""
+def shape_in(blob: bytes) -> tuple[int, int]:
+    """(transitions, action size) that the blob says it holds; ValueError if it is not a rollout."""
     if len(blob) < _PREFIX.size:
         raise ValueError(f"rollout: got {len(blob)} bytes")
     _, length = _PREFIX.unpack_from(blob)
-    return _layout_sizes(unpack_map(blob[_PREFIX.size : _PREFIX.size + length], MAX_LAYOUT_BYTES))[0]
+    return _layout_sizes(unpack_map(blob[_PREFIX.size : _PREFIX.size + length], MAX_LAYOUT_BYTES))
 
 
 def is_intact(blob: bytes) -> bool:

@@ -20,6 +20,7 @@ from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import keys
 from appl_dist.wire.bus import Bus, Message, Query
 from appl_dist.wire.codec import MAX_HEADER_BYTES, StateHeader, decode_header, encode_header, pack, unpack_map
+from appl_dist.wire.polling import LearnerPoll
 
 log = logging.getLogger(__name__)
 
@@ -88,18 +89,12 @@ class ControlClient:
         self.run_id = keys.check_name("run_id", run_id)
         self.counts: Counter[str] = Counter()
         self._bus = bus
-        self._poll_s = poll_s
         self._changed = threading.Condition()
         self._version = (-1, -1)
         self._state = "run"
-        self._learners: set[str] = set()
         self._closed = False
-        self._ask_now = threading.Event()
         self._subscription = bus.subscribe(keys.state(run_id), self._take)
-        self._watch = bus.watch(keys.alive(run_id, "learner", keys.ANY, keys.ANY), self._learner_seen)
-        self._ask_now.set()
-        self._thread = threading.Thread(target=self._poll, name="control-client", daemon=True)
-        self._thread.start()
+        self._poll = LearnerPoll(bus, run_id, poll_s, self._ask)
 
     def state(self) -> str:
         """ "run" or "stop"."""
@@ -115,33 +110,19 @@ class ControlClient:
 
     @property
     def learner_present(self) -> bool:
-        with self._changed:
-            return bool(self._learners)
+        return self._poll.learner_present
 
     def close(self) -> None:
         self._subscription.close()
-        self._watch.close()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        self._ask_now.set()
-        self._thread.join(timeout=6.0)
+        self._poll.close()
 
-    def _learner_seen(self, key: str, present: bool) -> None:
-        with self._changed:
-            (self._learners.add if present else self._learners.discard)(key)
-        if present:
-            self._ask_now.set()
-
-    def _poll(self) -> None:
-        while not self._closed:
-            self._ask_now.wait(self._poll_s)
-            self._ask_now.clear()
-            if self._closed:
-                return
-            answer = self._bus.get(keys.state(self.run_id), timeout_s=5.0)
-            if answer is not None:
-                self._take(answer)
+    def _ask(self) -> None:
+        answer = self._bus.get(keys.state(self.run_id), timeout_s=5.0)
+        if answer is not None:
+            self._take(answer)
 
     def _take(self, message: Message) -> None:
         try:

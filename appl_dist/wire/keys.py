@@ -3,6 +3,7 @@
     appl/run                                     what runs here: run id and frozen config
     appl/RUN/upload/ACTOR                        rollouts in, acks out
     appl/RUN/claim/ACTOR/INCARNATION             token: this process uploads as ACTOR
+    appl/RUN/work/ACTOR                          results of an evaluation in, jobs out
     appl/RUN/weights                             newest policy
     appl/RUN/state                               desired state of the actors
     appl/RUN/status                              the learner's numbers for the terminal
@@ -38,6 +39,10 @@ def upload(run_id: str, actor_id: str) -> str:
     return f"appl/{run_id}/upload/{actor_id}"
 
 
+def work(run_id: str, actor_id: str) -> str:
+    return f"appl/{run_id}/work/{actor_id}"
+
+
 def claim(run_id: str, actor_id: str, incarnation: str) -> str:
     return f"appl/{run_id}/claim/{actor_id}/{incarnation}"
 
@@ -60,8 +65,3 @@ def alive(run_id: str, role: str, member_id: str, incarnation: str) -> str:
 
 def progress(run_id: str, role: str, member_id: str) -> str:
     return f"appl/{run_id}/progress/{role}/{member_id}"
-
-
-# What only the learner may say. The learner's router refuses these from every other process.
-LEARNER_SERVES = (RUN, upload(ANY, ANY), weights(ANY), state(ANY), status(ANY))
-LEARNER_TOKENS = (alive(ANY, "learner", ANY, ANY),)

@@ -16,8 +16,9 @@ from typing import Any
 import zenoh
 
 from appl_dist.errors import UserError
-from appl_dist.wire import keys
+from appl_dist.wire.access import access_control, rate_limits, size_limits
 from appl_dist.wire.bus import Handle, Message, Query
+from appl_dist.wire.credentials import CA_FILE, CERTIFICATE_FILE, KEY_FILE, LEARNER, USERS_FILE, Identity, find
 from appl_dist.wire.settings import WireSettings
 
 log = logging.getLogger(__name__)
@@ -26,10 +27,14 @@ _MAX_MESSAGE_BYTES = 64 << 20  # refused by the transport itself, before anythin
 _MAX_SESSIONS = 4096
 
 
-def open_session(settings: WireSettings, listen: bool) -> Session:
-    """A connected session; UserError when the endpoint is taken (listen) or no learner answers at it."""
-    zenoh.init_log_from_env_or("off")  # refusals reach users as our sentences; RUST_LOG shows zenoh's own
-    config = zenoh.Config.from_json5(json.dumps(_config(settings, listen)))
+def open_session(settings: WireSettings, listen: bool, identity: str = "") -> Session:
+    """A connected session; UserError when the endpoint is taken (listen) or no learner answers at it.
+
+    identity: whose credentials to use where the settings ask for any and name none; see `credentials.find`.
+    """
+    if settings.security != "password":  # zenoh's log would hold it
+        zenoh.init_log_from_env_or("off")  # refusals reach users as our sentences; RUST_LOG shows zenoh's own
+    config = zenoh.Config.from_json5(json.dumps(_config(settings, listen, identity)))
     try:
         return Session(zenoh.open(config))
     except zenoh.ZError as error:
@@ -45,13 +50,13 @@ def _why(settings: WireSettings, listen: bool, error: str) -> str:
     if listen:
         return f"wire.endpoint: cannot listen on {settings.endpoint}: {error.split(' at /', 1)[0]}"
     return (
-        f"wire.endpoint: no learner answered at {settings.endpoint} within {settings.timeout_s:g} s; either "
+        f"wire.endpoint: no learner answered at {settings.connect_endpoint} within {settings.timeout_s:g} s; either "
         "no learner runs there, or it refused the credentials (user, password or certificates; the wire does "
         "not say which)"
     )
 
 
-def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
+def _config(settings: WireSettings, listen: bool, identity: str) -> dict[str, Any]:
     lease_ms = round(settings.lease_s * 1000)
     transport: dict[str, Any] = {
         "shared_memory": {"enabled": False},
@@ -71,31 +76,30 @@ def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
             },
         },
     }
-    if settings.user or settings.users_file:
-        transport["auth"] = {
-            "usrpwd": _drop_empty(
-                user=settings.user,
-                password=settings.password,
-                dictionary_file=settings.users_file if listen else "",
-            )
-        }
-    if settings.endpoint.startswith("tls/"):
-        transport["link"]["tls"] = _drop_empty(
-            root_ca_certificate=settings.tls_ca,
-            listen_certificate=settings.tls_certificate if listen else "",
-            listen_private_key=settings.tls_key if listen else "",
-        )
     config: dict[str, Any] = {
         "mode": "router" if listen else "client",
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "adminspace": {"enabled": False},
         "transport": transport,
     }
+    users = None
+    if settings.security != "none":
+        who = find(settings.keys, LEARNER if listen else settings.identity or identity)
+        if settings.security == "tls":
+            transport["link"]["tls"] = _tls(who, listen)
+        else:
+            transport["auth"] = {"usrpwd": _password(who, listen)}
+        users = who.users() if listen else None
     if listen:
         config["listen"] = {"endpoints": [settings.endpoint], "timeout_ms": 0, "exit_on_failure": True}
-        config["access_control"] = _access_control()
+        config["access_control"] = access_control(
+            users, "cert_common_names" if settings.security == "tls" else "usernames"
+        )
+        config["low_pass_filter"] = size_limits()
+        config["downsampling"] = rate_limits()
     else:
         config["connect"] = {
-            "endpoints": [settings.endpoint],
+            "endpoints": [settings.connect_endpoint],
             "timeout_ms": round(settings.timeout_s * 1000),
             "exit_on_failure": True,
             "retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
@@ -103,25 +107,22 @@ def _config(settings: WireSettings, listen: bool) -> dict[str, Any]:
     return config
 
 
-def _access_control() -> dict[str, Any]:
-    """Nobody but the learner may publish weights or state, or answer in its place."""
-    said = {
-        "messages": ["put", "delete", "declare_queryable", "reply"],
-        "key_exprs": list(keys.LEARNER_SERVES),
-    }
-    tokens = {"messages": ["liveliness_token"], "key_exprs": list(keys.LEARNER_TOKENS)}
-    deny = {"permission": "deny", "flows": ["ingress"]}
+def _tls(who: Identity, listen: bool) -> dict[str, Any]:
+    side = "listen" if listen else "connect"
     return {
-        "enabled": True,
-        "default_permission": "allow",
-        "rules": [{"id": "said", **deny, **said}, {"id": "tokens", **deny, **tokens}],
-        "subjects": [{"id": "anyone"}],
-        "policies": [{"rules": ["said", "tokens"], "subjects": ["anyone"]}],
+        "root_ca_certificate": who.path(CA_FILE),
+        f"{side}_certificate": who.path(CERTIFICATE_FILE),
+        f"{side}_private_key": who.path(KEY_FILE),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
     }
 
 
-def _drop_empty(**values: str) -> dict[str, str]:
-    return {name: value for name, value in values.items() if value}
+def _password(who: Identity, listen: bool) -> dict[str, str]:
+    if listen:
+        return {"dictionary_file": who.path(USERS_FILE)}
+    user, password = who.password()
+    return {"user": user, "password": password}
 
 
 class Session:

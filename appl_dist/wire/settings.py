@@ -3,37 +3,35 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 from appl_dist.errors import UserError
 
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
 _LOOPBACK = ("127.", "localhost", "[::1]")
+SECURITY = ("none", "password", "tls")
 
 
 @dataclass(frozen=True)
 class WireSettings:
-    """Settings of one process's connection; UserError naming the field that cannot be.
+    """Settings of one process's connection; UserError naming the field that cannot be. Holds no secret.
 
     endpoint: `tcp/HOST:PORT` or `tls/HOST:PORT`. The learner listens on it (0.0.0.0 for every interface),
         everyone else connects to it. The default is reachable from this machine only.
     lease_s: a process silent for this long counts as gone, s.
     timeout_s: how long to wait for the learner, s.
-    user, password: what this process calls itself. users_file: the learner's list, one `user:password` a
-        line; whoever is not in it is refused.
-    tls_ca: certificate (PEM) that clients check the learner against. tls_certificate, tls_key: the learner's.
+    security: "none"; "password" (each identity proves a password, data is not encrypted); "tls" (encrypted, both
+        sides prove a certificate of the run's authority).
+    keys: folder made by `appl-dist keys`, see `credentials`. identity: which of its folders is this process's;
+        "" takes the one of the process's role or actor id.
     """
 
     endpoint: str = "tcp/127.0.0.1:7447"
     lease_s: float = 3.0
     timeout_s: float = 10.0
-    user: str = ""
-    password: str = field(default="", repr=False)
-    users_file: str = ""
-    tls_ca: str = ""
-    tls_certificate: str = ""
-    tls_key: str = ""
+    security: str = "none"
+    keys: str = ""
+    identity: str = ""
 
     def __post_init__(self) -> None:
         match = _ENDPOINT.fullmatch(self.endpoint)
@@ -43,17 +41,24 @@ class WireSettings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise UserError(f"wire.{name}: got {value!r} s; allowed {low:g}..{high:g} s")
-        if bool(self.user) != bool(self.password):
-            raise UserError("wire.user, wire.password: give both or neither")
-        for name in ("users_file", "tls_ca", "tls_certificate", "tls_key"):
-            path = getattr(self, name)
-            if path and not Path(path).is_file():
-                raise UserError(f"wire.{name}: no file at {path}")
-        if match[1] == "tls" and not (self.tls_ca or self.tls_certificate):
-            raise UserError("wire.tls_ca: a tls endpoint needs it (on the learner: tls_certificate and tls_key)")
-        if bool(self.tls_certificate) != bool(self.tls_key):
-            raise UserError("wire.tls_certificate, wire.tls_key: give both or neither")
+        if self.security not in SECURITY:
+            raise UserError(f"wire.security: got {self.security!r}; allowed {', '.join(SECURITY)}")
+        if (self.security == "tls") != (match[1] == "tls"):
+            raise UserError(
+                f"wire.endpoint: got {self.endpoint} with wire.security={self.security}; "
+                "tls/HOST:PORT goes with security=tls, tcp/HOST:PORT with none and password"
+            )
+        if (self.security == "none") == bool(self.keys):
+            raise UserError(
+                f"wire.keys: got {self.keys!r} with wire.security={self.security}; give the folder that "
+                "`appl-dist keys` made with security=password or tls, and only then"
+            )
 
     @property
     def is_loopback(self) -> bool:
         return self.endpoint.split("/", 1)[1].startswith(_LOOPBACK)
+
+    @property
+    def connect_endpoint(self) -> str:
+        """What a client on the learner's machine connects to when the learner listens on every interface."""
+        return self.endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")

@@ -33,7 +33,9 @@ log = logging.getLogger(__name__)
 _WAITING_PER_ACTOR = 2  # an actor has one upload under way; a second is its retry after a time-out
 _RETRY_S = 0.5
 _FAILED_RETRY_S = 2.0
-_LOGGED_SENDERS = 1024
+_STRANGERS = 8  # this part of the queue is open to actors that no process has claimed
+_LOGGED_SENDERS = 32
+_COUNTED_SENDERS = 1024
 
 
 class UploadSink(Protocol):
@@ -67,6 +69,7 @@ class UploadServer:
     ) -> None:
         self.run_id = keys.check_name("run_id", run_id)
         self.counts: Counter[str] = Counter()  # by status, plus "malformed" and "failed" (the sink raised)
+        self._refused: Counter[str] = Counter()  # by sender; those beyond _COUNTED_SENDERS under "others"
         self._sink = sink
         self._epoch = epoch
         self._max_waiting = max_waiting
@@ -91,16 +94,22 @@ class UploadServer:
         self._worker.join(timeout=5.0)
         self._claims.close()
 
+    def refused(self, most: int = 10) -> dict[str, int]:
+        """Refusals by sender, RUN/ACTOR as on its key, the `most` refused ones."""
+        with self._changed:
+            return dict(self._refused.most_common(most))
+
     def _receive(self, query: Query) -> None:
         """On a thread of the bus: queue or turn away, nothing slow."""
         size = query.size
+        stranger = not self._claims.knows(query.key.rpartition("/")[2])
         if size > MAX_ROLLOUT_BYTES:
             self._malformed(query, f"payload of {size} bytes; allowed up to {MAX_ROLLOUT_BYTES}")
             return
         with self._changed:
             full = (
                 self._closed
-                or len(self._waiting) >= self._max_waiting
+                or len(self._waiting) >= (max(self._max_waiting // _STRANGERS, 1) if stranger else self._max_waiting)
                 or self._waiting_bytes + size > self._max_waiting_bytes
                 or self._waiting_of[query.key] >= _WAITING_PER_ACTOR
             )
@@ -166,19 +175,28 @@ class UploadServer:
         return self._sink.store(header, rollout)
 
     def _refusal(self, header: UploadHeader, reason: str) -> Ack:
-        self._log_once(f"{header.run}/{header.actor}/{header.incarnation}", reason)
+        self._note(f"{header.run}/{header.actor}", reason)
         return Ack("refused", reason=reason, epoch=self._epoch)
 
     def _malformed(self, query: Query, reason: str) -> None:
         self.counts["malformed"] += 1
-        self._log_once(query.key, reason)
+        _, run, _, actor = query.key.split("/")
+        self._note(f"{run}/{actor}", reason)
         self._answer(query, Ack("refused", reason=reason[:500], epoch=self._epoch))
 
     def _answer(self, query: Query, ack: Ack) -> None:
         self.counts[ack.status] += 1
         query.reply(encode_header(ack))
 
-    def _log_once(self, sender: str, reason: str) -> None:
-        if sender not in self._logged and len(self._logged) < _LOGGED_SENDERS:
-            self._logged.add(sender)
+    def _note(self, sender: str, reason: str) -> None:
+        """Count a refusal under its sender; log the first one of each of the first senders."""
+        with self._changed:
+            known = sender in self._refused
+            if not known and len(self._refused) >= _COUNTED_SENDERS:
+                sender = "others"
+            self._refused[sender] += 1
+            senders = len(self._refused)
+        if not known and senders <= _LOGGED_SENDERS:
             log.warning("refused an upload of %s: %s", sender, reason)
+            if senders == _LOGGED_SENDERS:
+                log.warning("further senders of refused uploads are counted, not logged")

@@ -22,7 +22,7 @@ from appl_dist.wire.codec import (
     UploadHeader,
     decode_header,
     encode_header,
-    transitions_in,
+    shape_in,
 )
 
 log = logging.getLogger(__name__)
@@ -35,6 +35,7 @@ class SpoolLike(Protocol):
 
     @property
     def oldest(self) -> int: ...
+    def __len__(self) -> int: ...
     def peek(self, timeout_s: float) -> tuple[int, bytes] | None: ...
     def ack(self, seq: int) -> None: ...
     def align(self, expected: int) -> None: ...
@@ -70,6 +71,7 @@ class Uploader:
         self._spool = spool
         self._timeout_s = timeout_s
         self._clock = clock
+        self._away_since_s: float | None = None
         self._epoch = 0
         self._greeted = False
         self._wait_s = _BACKOFF_S[0]
@@ -77,13 +79,13 @@ class Uploader:
         self._claim = bus.announce(keys.claim(run_id, actor_id, bus.identity))
         self._thread = threading.Thread(target=self._run, name="uploader", daemon=True)
 
-    def start(self, timeout_s: float = 10.0) -> None:
+    def start(self, timeout_s: float = 10.0, stop: Callable[[], bool] = lambda: False) -> None:
         """Greet the learner, agree on the next sequence number, then upload in the background.
 
-        UserError: refused, or no learner answered within `timeout_s`.
+        UserError: refused, or no learner answered within `timeout_s`. Returns early if `stop()`.
         """
         deadline = self._clock() + timeout_s
-        while not self._greeted:
+        while not self._greeted and not stop():
             self._greeted = self._hello()
             if self.refused:
                 raise UserError(self.refused)
@@ -142,7 +144,7 @@ class Uploader:
 
     def _send(self, seq: int, blob: bytes) -> Ack | None:
         self.counts["sent"] += 1
-        header = UploadHeader(self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, transitions_in(blob))
+        header = UploadHeader(self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, shape_in(blob)[0])
         ack = self._ask(header, blob)
         self.counts["unanswered" if ack is None else "acked" if ack.status == "stored" else ack.status] += 1
         return ack
@@ -172,6 +174,7 @@ class Uploader:
     def _ask(self, header: UploadHeader, blob: bytes) -> Ack | None:
         key = keys.upload(self.run_id, self.actor_id)
         answer = self._bus.get(key, blob, encode_header(header), self._timeout_s)
+        self._tell_presence(answer is not None)
         if answer is None or answer.size > MAX_HEADER_BYTES:
             return None
         try:
@@ -179,6 +182,16 @@ class Uploader:
         except ValueError as error:
             self._refuse(f"the learner's answer cannot be read: {error}")
             return None
+
+    def _tell_presence(self, answered: bool) -> None:
+        """Say when the learner goes and when it comes back, once each."""
+        if not answered and self._away_since_s is None:
+            self._away_since_s = self._clock()
+            if self._greeted:
+                log.warning("the learner does not answer; rollouts go on into the spool (%d there)", len(self._spool))
+        elif answered and self._away_since_s is not None:
+            away_s, self._away_since_s = self._clock() - self._away_since_s, None
+            log.info("the learner answers again after %.1f s; %d rollouts to send", away_s, len(self._spool))
 
     def _refuse(self, reason: str) -> None:
         self.refused = self.refused or reason or "refused by the learner"

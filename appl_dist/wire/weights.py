@@ -15,6 +15,7 @@ from collections.abc import Callable
 from appl_dist.wire import keys
 from appl_dist.wire.bus import Bus, Message, Query
 from appl_dist.wire.codec import WeightsHeader, decode_header, encode_header
+from appl_dist.wire.polling import LearnerPoll
 
 log = logging.getLogger(__name__)
 
@@ -106,18 +107,12 @@ class WeightsSubscriber:
         self.run_id = keys.check_name("run_id", run_id)
         self.counts: Counter[str] = Counter()
         self._bus = bus
-        self._poll_s = poll_s
         self._check = check
         self._changed = threading.Condition()
         self._newest: Weights | None = None
-        self._ask_now = threading.Event()
         self._closed = False
-        # Subscribe first, then ask: nothing published in between is missed.
         self._subscription = bus.subscribe(keys.weights(run_id), lambda message: self._take(message, "received"))
-        self._watch = bus.watch(keys.alive(run_id, "learner", keys.ANY, keys.ANY), self._learner_seen)
-        self._ask_now.set()
-        self._thread = threading.Thread(target=self._poll, name="weights-subscriber", daemon=True)
-        self._thread.start()
+        self._poll = LearnerPoll(bus, run_id, poll_s, self._ask)
 
     def latest(self) -> Weights | None:
         """(epoch, version, blob) of the newest policy seen, None before the first."""
@@ -136,29 +131,18 @@ class WeightsSubscriber:
 
     def close(self) -> None:
         self._subscription.close()
-        self._watch.close()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        self._ask_now.set()
-        self._thread.join(timeout=6.0)
+        self._poll.close()
 
-    def _learner_seen(self, key: str, present: bool) -> None:
-        if present:
-            self._ask_now.set()
-
-    def _poll(self) -> None:
-        while not self._closed:
-            self._ask_now.wait(self._poll_s)
-            self._ask_now.clear()
-            if self._closed:
-                return
-            newest = self.latest()
-            epoch, version, size = (0, 0, 0) if newest is None else (*newest[:2], len(newest[2]))
-            header = WeightsHeader(self.run_id, epoch, version, size)
-            answer = self._bus.get(keys.weights(self.run_id), b"", encode_header(header), timeout_s=5.0)
-            if answer is not None and answer.size:
-                self._take(answer, "fetched")
+    def _ask(self) -> None:
+        newest = self.latest()
+        epoch, version, size = (0, 0, 0) if newest is None else (*newest[:2], len(newest[2]))
+        header = WeightsHeader(self.run_id, epoch, version, size)
+        answer = self._bus.get(keys.weights(self.run_id), b"", encode_header(header), timeout_s=5.0)
+        if answer is not None and answer.size:
+            self._take(answer, "fetched")
 
     def _take(self, message: Message, how: str) -> None:
         try:

@@ -33,13 +33,17 @@ def appl_dist(*arguments: str, cwd: Path, timeout_s: float = 60.0) -> subprocess
         (["train", "world.train=4000", "world.count=6"], "4000"),
         (["train", "run.resume=nowhere"], "nowhere"),
         (["train", "wire.endpoint=somewhere"], "wire.endpoint: got 'somewhere'; expected tcp/HOST:PORT"),
-        (["train", "protocol=marathon"], "protocol: got 'marathon'; allowed appl"),
+        (["train", "protocol=marathon"], "protocol: got 'marathon'; allowed appl, challenge"),
         (["evaluate", "evaluation.methods=mine"], "evaluation.methods"),
         (["evaluate", "+evaluation.methods.mine=missing.safetensors", "world.count=6"], "missing.safetensors"),
         (
             ["evaluate", "+evaluation.methods.mine='set:max_vel_x=9'", "world.count=6"],
             "max_vel_x = 9; dwa allows 0.2..2",
         ),
+        (["evaluate", "protocol=appl", "protocol.limit_s=0"], "protocol.limit_s: got 0"),
+        (["evaluate", "timing=slow"], "timing: got 'slow'; allowed gazebo, ideal, robot"),
+        (["replay", "nowhere", "1"], "nowhere/evaluation.json: cannot be read"),
+        (["report", "nowhere"], "expected the folder of an evaluation"),
         (["conformance", "missing.jsonl.gz"], "missing.jsonl.gz"),
         (["worlds", "check", "missing.tar.gz"], "missing.tar.gz"),
     ],
@@ -95,3 +99,29 @@ def test_help_lists_groups_and_keys(role: str, tmp_path: Path) -> None:
     assert "timing" in result.stdout
     assert "gazebo, ideal, robot" in result.stdout
     assert "samples_per_insert" in result.stdout
+
+
+@pytest.mark.timeout(900)
+def test_evaluate_replay_and_report_in_a_row(tmp_path: Path) -> None:
+    arguments = ("world.count=2", "evaluation.worlds=all", "evaluation.trials=1", "evaluation.folder=here")
+    short = ("protocol.limit_s=4", "evaluation.workers=1", "+evaluation.methods.fast='set:max_vel_x=2'")
+    done = appl_dist("evaluate", *arguments, *short, cwd=tmp_path, timeout_s=600.0)
+    assert done.returncode == 0, done.stderr
+    assert "times real time" in done.stdout
+    assert "Mean traversal time" in done.stdout
+    text = (tmp_path / "here" / "report.html").read_text()
+    assert "each bit-equal to its row" in text
+    assert "film_fast" in text
+    again = appl_dist("replay", "here", "all", cwd=tmp_path)
+    assert again.returncode == 0, again.stdout
+    assert again.stdout.count("; bit-equal") == 4
+    rows = (tmp_path / "here" / "trials.csv").read_text().replace(" 20 0.1 ", " 21 0.1 ")
+    (tmp_path / "here" / "trials.csv").write_text(rows)
+    other = appl_dist("replay", "here", "default/0/0", "fast/1/0", cwd=tmp_path)
+    assert other.returncode == 1
+    assert "NOT equal" in other.stdout
+    filmed = appl_dist("replay", "here", "fast/0/0", "--film", "f.gif", "--figure", "f.png", cwd=tmp_path)
+    assert (tmp_path / "f.gif").read_bytes().startswith(b"GIF8"), filmed.stderr
+    assert (tmp_path / "f.pdf").exists()
+    two = appl_dist("replay", "here", "all", "--film", "f.gif", cwd=tmp_path)
+    assert (two.returncode, "a picture is of one" in two.stderr) == (2, True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 
@@ -18,52 +17,8 @@ from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
+from tests.integration.cluster import Cable
 from tests.unit.wire.support import ListStore, free_endpoint, make_rollout, wait_until
-
-
-class Cable:
-    """Forwards TCP connections to a port; pulled, it forwards nothing and tells nobody."""
-
-    def __init__(self, to_port: int) -> None:
-        self._to_port = to_port
-        self._plugged = threading.Event()
-        self._plugged.set()
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.port = self._server.getsockname()[1]
-        self._sockets = [self._server]
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def pull(self) -> None:
-        self._plugged.clear()
-
-    def plug(self) -> None:
-        self._plugged.set()
-
-    def close(self) -> None:
-        self.plug()
-        for open_socket in self._sockets:
-            open_socket.close()
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                near = self._server.accept()[0]
-                self._plugged.wait()
-                far = socket.create_connection(("127.0.0.1", self._to_port))
-            except OSError:
-                return
-            self._sockets += [near, far]
-            for source, sink in ((near, far), (far, near)):
-                threading.Thread(target=self._forward, args=(source, sink), daemon=True).start()
-
-    def _forward(self, source: socket.socket, sink: socket.socket) -> None:
-        try:
-            while data := source.recv(1 << 16):
-                self._plugged.wait()
-                sink.sendall(data)
-            sink.shutdown(socket.SHUT_WR)
-        except OSError:
-            pass
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Statistics against scipy, hand-computed numbers and planted effects."""
+"""Statistics against scipy, statsmodels, hand-computed numbers and planted effects."""
 
 from __future__ import annotations
 
@@ -10,18 +10,90 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from statsmodels.stats import weightstats
+from statsmodels.stats.multitest import multipletests
+from statsmodels.stats.proportion import proportion_confint
 
 from appl_dist.evaluate.statistics import (
+    benjamini_hochberg,
     bootstrap_interval,
     collect,
     compare,
+    performance_profile,
+    spearman,
     summarise,
+    turned,
     welch_p,
     wilson_interval,
+    win_probability,
 )
 
 FAILED_S = 70.0
 times = st.lists(st.floats(5.0, 70.0), min_size=2, max_size=12)
+
+
+@given(times, times)
+def test_welch_is_statsmodels(a: list[float], b: list[float]) -> None:
+    x, y = np.array(a), np.array(b)
+    if min(x.std(), y.std()) > 1e-6:
+        expected = weightstats.ttest_ind(x, y, usevar="unequal")[1]
+        assert welch_p(x, y) == pytest.approx(expected, abs=1e-12)
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60))
+def test_benjamini_hochberg_is_statsmodels(p_values: list[float]) -> None:
+    rejected, adjusted, _, _ = multipletests(p_values, alpha=0.05, method="fdr_bh")
+    found = benjamini_hochberg(np.array(p_values))
+    assert found == pytest.approx(adjusted, abs=1e-12)
+    assert ((found <= 0.05) == rejected).all()
+
+
+@given(st.integers(1, 400), st.data())
+def test_wilson_is_statsmodels(count: int, data: st.DataObject) -> None:
+    successes = data.draw(st.integers(0, count))
+    expected = proportion_confint(successes, count, method="wilson")
+    assert wilson_interval(successes, count) == pytest.approx(expected, abs=1e-12)
+
+
+@given(times, times)
+def test_win_probability_is_mann_whitneys_u(a: list[float], b: list[float]) -> None:
+    x, y = np.round(a), np.round(b)  # with ties
+    expected = stats.mannwhitneyu(y, x).statistic / (len(x) * len(y))
+    assert win_probability(x, y) == pytest.approx(expected, abs=1e-12)
+    assert win_probability(x, y) + win_probability(y, x) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_performance_profile_of_a_small_table() -> None:
+    times_s = np.array([[10.0, 20.0, 30.0, 40.0], [20.0, 10.0, 30.0, 20.0]])
+    shares = performance_profile(times_s, np.array([1.0, 1.5, 2.0]))
+    assert shares.tolist() == [[0.5, 0.5, 1.0], [0.75, 0.75, 1.0]]
+
+
+def test_spearman_is_scipys_and_its_interval_holds_the_truth() -> None:
+    rng = np.random.default_rng(8)
+    held = 0
+    for _ in range(300):
+        x, e = rng.normal(size=(2, 50))
+        found = spearman(x, 0.6 * x + 0.8 * e)
+        assert found.rho == pytest.approx(stats.spearmanr(x, 0.6 * x + 0.8 * e).statistic)
+        held += found.low < 6.0 / math.pi * math.asin(0.3) < found.high  # rho of a binormal of correlation 0.6
+    assert 270 <= held <= 298
+    assert math.isnan(spearman(np.ones(9), np.arange(9.0)).rho)
+
+
+def test_a_comparison_seen_from_the_other_side() -> None:
+    rng = np.random.default_rng(9)
+    mean_s = rng.uniform(15.0, 40.0, 20)
+    samples = collect(draw("a", mean_s, 6, rng) + draw("b", mean_s - 1.0, 6, rng), FAILED_S)
+    there = compare("a", "b", samples, range(20), rng=np.random.default_rng(0))
+    back = compare("b", "a", samples, range(20), rng=np.random.default_rng(0))
+    seen = turned(there)
+    assert (seen.method, seen.better, seen.worse, seen.better_fdr) == ("b", back.better, back.worse, back.better_fdr)
+    assert seen.improvement_s == pytest.approx(back.improvement_s)
+    assert seen.improvement_percent == pytest.approx(back.improvement_percent)
+    assert seen.win_probability == pytest.approx(back.win_probability)
+    assert seen.difference_s == pytest.approx(back.difference_s)
+    assert (seen.improvement_low_s, seen.win_low) == pytest.approx((back.improvement_low_s, back.win_low), abs=0.2)
 
 
 def trial(method: str, world: int, number: int, time_s: float, success: bool = True) -> SimpleNamespace:

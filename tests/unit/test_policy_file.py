@@ -48,6 +48,20 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["policy.safetensors"]
 
 
+def test_half_the_bytes_give_the_same_policy_within_float16s_rounding() -> None:
+    policy = mlp()
+    blob = policy.to_bytes(half=True)
+    assert len(blob) < 0.6 * len(policy.to_bytes())
+    got = PolicyFile.from_bytes(blob)
+    assert (got.epoch, got.version, got.transitions) == (2, 7, 123)
+    for sent, arrived in zip(policy.weights + policy.biases, got.weights + got.biases, strict=True):
+        assert arrived.dtype == np.float32
+        np.testing.assert_allclose(arrived, sent, rtol=2.0**-11, atol=2.0**-24)
+    large = mlp(biases=(np.full(6, 7e4, np.float32), np.zeros(8, np.float32)))
+    with pytest.raises(ValueError, match=r"bias\.0: holds a value beyond float16"):
+        large.to_bytes(half=True)
+
+
 def test_fixed_values_of_an_own_space_come_back() -> None:
     space = ParameterSpace("own", (Parameter("gain", 1.0, 0.5, 2.0, "1/s"), Parameter("count", 3, 1, 5, "", True)))
     found = PolicyFile.from_bytes(PolicyFile(values=np.array([1.5, 4.0]), space=space).to_bytes())

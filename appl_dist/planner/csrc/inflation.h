@@ -4,13 +4,17 @@
 #include "grid.h"
 #include "settings.h"
 
+enum { INFLATION_BINS_MAX = 250, INFLATION_REACH = INFLATION_CELLS_MAX + 1, INFLATION_SIDE = 2 * INFLATION_REACH + 1 };
+
 typedef struct {
-    int16_t x, y;    // cell
-    int8_t dx, dy;   // offset from the obstacle it grew from
-    int32_t next;    // in the same bin, -1 the last
+    int32_t cell, next;  // the next in the same bin, -1 the last
+    int16_t offset;      // from the obstacle it grew from: row of INFLATION_SIDE, column
 } inflation_entry;
 
-enum { INFLATION_BINS_MAX = 250, INFLATION_REACH = INFLATION_CELLS_MAX + 1 };
+// Where the fire goes from an offset: the bin a neighbour would be in, 255 where it may not go.
+typedef struct {
+    uint8_t left, up, right, down;
+} inflation_moves;
 
 // Shared by the maps of one planner; sized for the largest.
 typedef struct {
@@ -25,7 +29,7 @@ typedef struct {
     double radius, inscribed, weight;  // m, m, 1/m
     double res;                        // m
     int cells, bins;                   // reach in cells; distinct distances
-    uint8_t bin_of[2 * INFLATION_REACH + 1][2 * INFLATION_REACH + 1];  // by dy, dx; 255 beyond reach
+    inflation_moves moves[INFLATION_SIDE * INFLATION_SIDE];  // by offset
     uint8_t cost_of_bin[INFLATION_BINS_MAX];
     bool need_reinflation;
     double last_min_x, last_min_y, last_max_x, last_max_y;  // m, bounds of the previous update

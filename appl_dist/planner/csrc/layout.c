@@ -107,6 +107,7 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
 
     navfn *plan = &n->plan;
     plan->w = plan->h = global;
+    plan->master = GRAB(a, uint8_t, global * global);
     plan->cost = GRAB(a, uint8_t, global * global);
     plan->potential = GRAB(a, float, global * global);
     plan->closed = GRAB(a, uint8_t, global * global);

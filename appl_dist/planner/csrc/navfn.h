@@ -5,8 +5,14 @@
 
 enum { NAVFN_BUFFER = 10000 };  // entries a priority buffer holds; more are dropped, as in ROS
 
+// Potential by which the bounded wave reaches beyond what it needs; see navfn.c. The small one moves a plan by
+// micrometres as a rule, by millimetres in one of a hundred.
+#define NAVFN_MARGIN_EXACT 1300.0f
+#define NAVFN_MARGIN_FAST 100.0f
+
 typedef struct {
     int w, h;
+    uint8_t *master;         // (h, w) the costmap `cost` was made from
     uint8_t *cost;           // (h, w) traversal cost 50..253, 254 blocked; the outer ring is blocked
     float *potential;        // (h, w) 1e10 where no wave came
     uint8_t *closed;         // (h, w) blocked, or in a buffer already
@@ -23,6 +29,7 @@ typedef struct {
     int plan_count;
     double *plan;            // (path_capacity + 1, 2) m, odom: robot first
     bool whole;              // no bound: every potential is NavFn's
+    float margin;            // NAVFN_MARGIN_…
     float bound;             // the wave spreads only where it can still matter: see navfn.c
     float goal_potential;    // of the last plan, 0 for none
     int goal_cx, goal_cy;

@@ -4,7 +4,7 @@
 
 #define PI 3.14159265358979323846
 
-navigator *navigator_init(void *memory, const planner_settings *set, const planner_parameters *par) {
+navigator *navigator_init(void *memory, const planner_settings *set, const planner_parameters *par, bool fast) {
     arena a = {memory, 0};
     navigator *n = layout_grab(&a, sizeof *n);
     memset(n, 0, sizeof *n);
@@ -18,6 +18,7 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
         const double angle = -set->angle_max_rad + i * (2 * set->angle_max_rad / ((int)set->beams - 1));
         n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);
     }
+    n->plan.margin = fast ? NAVFN_MARGIN_FAST : NAVFN_MARGIN_EXACT;
     navfn_init(&n->plan);
     navigator_set_parameters(n, par);
     costmap_clear(&n->local, 0, 0);
@@ -203,6 +204,7 @@ void navigator_control(navigator *n, const double pose_in[3], const double twist
     double pose[3];
     out[0] = out[1] = 0;
     n->valid = false;
+    n->local_plan.rollouts.rollouts = n->local_plan.rollouts.rollout_steps = 0; /* of this cycle, if it comes to any */
     if (n->state == NAVIGATOR_IDLE || n->state == NAVIGATOR_SUCCEEDED || n->state == NAVIGATOR_ABORTED) return;
     start_clock(n, now);
     robot_pose(pose_in, pose);

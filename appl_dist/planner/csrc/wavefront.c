@@ -45,8 +45,8 @@ void wavefront_unblock(wavefront *m, int x, int y) {
 void wavefront_target(wavefront *m, int x, int y) {
     const int i = wave_index(x, y);
     lay_out(m, y + 1);
-    if (m->dist[i] == 0) return;  // a plan visits a cell more than once
-    m->dist[i] = 0;
+    if (m->dist[i] == 1) return;  // a plan visits a cell more than once
+    m->dist[i] = 1;
     const int far = m->to_column[x + 1] + m->to_row[y + 1];
     m->next_target[i] = m->targets_at[far];
     m->targets_at[far] = i;
@@ -55,23 +55,38 @@ void wavefront_target(wavefront *m, int x, int y) {
 
 // Estimates differ by one between neighbours, so a neighbour goes into the same bucket or one of the next two.
 // A cell may be found twice, the second time nearer; then it is in two buckets and its second expansion finds nothing.
-static inline void relax(wavefront *m, int to, uint16_t distance, int rise, int bucket) {
-    const int b = bucket + 1 + rise < WAVE_BUCKETS ? bucket + 1 + rise : bucket + 1 + rise - WAVE_BUCKETS;
-    const bool nearer = (distance < m->dist[to]) & (m->dist[to] != WAVE_BLOCKED);
-    m->bucket[b][m->count[b]] = (uint16_t)to;
-    m->count[b] += nearer;
+static inline int relax(wavefront *m, uint16_t *into, int count, int to, uint16_t distance) {
+    const bool nearer = distance < m->dist[to];
+    into[count] = (uint16_t)to;
     m->dist[to] = nearer ? distance : m->dist[to];
+    return count + nearer;
 }
 
-static void expand(wavefront *m, int i, int bucket) {
+static inline void relax_uneven(wavefront *m, int to, uint16_t distance, int rise, int bucket) {
+    const int b = bucket + 1 + rise < WAVE_BUCKETS ? bucket + 1 + rise : bucket + 1 + rise - WAVE_BUCKETS;
+    m->count[b] = relax(m, m->bucket[b], m->count[b], to, distance);
+}
+
+static inline void expand(wavefront *m, int i, int bucket) {
     const int x = i % WAVE_STRIDE, y = i / WAVE_STRIDE;
+    const uint8_t *column = m->to_column + x, *row = m->to_row + y;
     const uint16_t next = (uint16_t)(m->dist[i] + 1);
     lay_out(m, y - 1);
     lay_out(m, y + 1);
-    relax(m, i - 1, next, m->to_column[x - 1] - m->to_column[x], bucket);
-    relax(m, i + 1, next, m->to_column[x + 1] - m->to_column[x], bucket);
-    relax(m, i - WAVE_STRIDE, next, m->to_row[y - 1] - m->to_row[y], bucket);
-    relax(m, i + WAVE_STRIDE, next, m->to_row[y + 1] - m->to_row[y], bucket);
+    if ((column[-1] | column[1] | row[-1] | row[1]) == 0) {  // inside the box the estimate is zero
+        const int b = bucket + 1 < WAVE_BUCKETS ? bucket + 1 : 0;
+        uint16_t *into = m->bucket[b];
+        int count = m->count[b];
+        count = relax(m, into, count, i - 1, next);
+        count = relax(m, into, count, i + 1, next);
+        count = relax(m, into, count, i - WAVE_STRIDE, next);
+        m->count[b] = relax(m, into, count, i + WAVE_STRIDE, next);
+        return;
+    }
+    relax_uneven(m, i - 1, next, column[-1] - column[0], bucket);
+    relax_uneven(m, i + 1, next, column[1] - column[0], bucket);
+    relax_uneven(m, i - WAVE_STRIDE, next, row[-1] - row[0], bucket);
+    relax_uneven(m, i + WAVE_STRIDE, next, row[1] - row[0], bucket);
 }
 
 static void start_targets(wavefront *m, int bucket) {
@@ -83,7 +98,7 @@ static void start_targets(wavefront *m, int bucket) {
 void wavefront_grow_until(wavefront *m, int x, int y) {
     const int i = wave_index(x, y), far = m->to_column[x + 1] + m->to_row[y + 1];
     lay_out(m, y + 1);
-    while (m->dist[i] + far > m->level) {
+    while (m->dist[i] - 1 + far > m->level) {
         const int bucket = m->level % WAVE_BUCKETS;
         if (m->level <= m->last_target) start_targets(m, bucket);
         while (m->next < m->count[bucket]) expand(m, m->bucket[bucket][m->next++], bucket);

@@ -5,8 +5,8 @@
 #include "grid.h"
 
 enum {
+    WAVE_BLOCKED = 0,        // an obstacle, or outside the map
     WAVE_FREE = 0xFFFF,      // not reached (yet)
-    WAVE_BLOCKED = 0xFFFD,   // an obstacle, or outside the map
     WAVE_LIMIT = 0xFFF0,     // distances are below
     WAVE_BUCKETS = 3,        // a step changes distance + estimate by 0, 1 or 2
     WAVE_SIDE_MAX = 240,     // cells
@@ -16,7 +16,7 @@ enum {
 typedef struct {
     int w, h;            // cells
     const uint8_t *cost; // (h, w) of the map searched
-    uint16_t *dist;      // ((h + 2) * WAVE_STRIDE); a row is laid out when first needed
+    uint16_t *dist;      // ((h + 2) * WAVE_STRIDE) 1 + distance; a row is laid out when first needed
     uint8_t laid_out[WAVE_SIDE_MAX + 2];
     uint16_t *bucket[WAVE_BUCKETS];  // (w * h + 1) indices; a cell is in each at most once
     int count[WAVE_BUCKETS], next;  // `next` to be expanded in the bucket of `level`
@@ -48,17 +48,18 @@ static inline bool wavefront_open(wavefront *m, int x, int y) { return wavefront
 
 // Distance of a cell, or at least WAVE_LIMIT when it cannot be reached or is an obstacle.
 static inline int wavefront_distance(wavefront *m, int x, int y) {
-    const uint16_t d = wavefront_found(m, x, y);
-    if (d == WAVE_BLOCKED || d + m->to_column[x + 1] + m->to_row[y + 1] <= m->level) return d;
+    const int d = wavefront_found(m, x, y);
+    if (d == WAVE_BLOCKED) return WAVE_LIMIT;
+    if (d - 1 + m->to_column[x + 1] + m->to_row[y + 1] <= m->level) return d - 1;
     wavefront_grow_until(m, x, y);
-    return m->dist[wave_index(x, y)];
+    return m->dist[wave_index(x, y)] - 1;
 }
 
 // At most the distance of a cell, without growing anything.
 static inline int wavefront_at_least(wavefront *m, int x, int y) {
-    const uint16_t d = wavefront_found(m, x, y);
-    const int least = m->level - m->to_column[x + 1] - m->to_row[y + 1];
-    return d < least ? d : least > 0 ? least : 0;
+    const int d = wavefront_found(m, x, y), least = m->level - m->to_column[x + 1] - m->to_row[y + 1];
+    if (d == WAVE_BLOCKED) return WAVE_LIMIT;
+    return d - 1 < least ? d - 1 : least > 0 ? least : 0;
 }
 
 // MapCell::target_dist as ROS numbers it: w*h an obstacle, w*h + 1 never touched.

@@ -32,6 +32,7 @@ void vehicle_reset(const vehicle_spec *spec, vehicle_state *state, const double 
     state->yaw = pose[2];
     state->seed = seed;
     state->command_age_ms = spec->timeout_ms; /* nothing received yet */
+    state->ground_force = spec->mass * GRAVITY;
 }
 
 void vehicle_command(vehicle_state *state, double v, double w, int64_t age_ms) {
@@ -54,7 +55,7 @@ static void turn_wheels(const vehicle_spec *spec, vehicle_state *state, double d
  * loads N = a + b x + c y that balance weight and tyre force have a closed form. */
 static void load_contacts(const vehicle_spec *spec, const vehicle_state *state, double c, double s,
                           const double (*contact)[2], double *limit) {
-    const double weight = spec->mass * GRAVITY;
+    const double weight = state->ground_force;
     const double forward = c * state->force_x + s * state->force_y;
     const double left = c * state->force_y - s * state->force_x;
     double xx = 0.0, yy = 0.0;
@@ -140,10 +141,12 @@ static void move(const vehicle_spec *spec, vehicle_state *state) {
     state->odom_y += state->wheel_v * s1 * STEP_S;
 }
 
-/* robot_localization's published twist in its steady state: wheel speed half trusted, IMU yaw rate almost fully. */
+/* robot_localization in its steady state: wheel speed half trusted; the IMU's yaw rate almost, its heading fully
+ * (process noise 0.06 rad^2/s against its 2.5e-5 rad^2), so that the heading's white noise is published. */
 static void filter_odometry(const vehicle_spec *spec, vehicle_state *state) {
     const uint64_t key = counter_key(state->seed, (uint64_t)state->time_ms);
     const double noise = spec->odom_noise_w * counter_normal(key, UINT64_C(1) << 32);
+    state->odom_yaw_error = spec->odom_noise_yaw * counter_normal(key, (UINT64_C(1) << 32) + 1);
     state->odom_v += spec->odom_gain_v * (state->wheel_v - state->odom_v);
     state->odom_w += spec->odom_gain_w * (state->w + noise - state->odom_w);
 }

@@ -18,6 +18,7 @@ typedef struct {
     int64_t timeout_ms;           /* commands older than this count as zero */
     int ideal;                    /* no tyres: the robot does what the wheels say */
     double odom_gain_v, odom_gain_w, odom_noise_w; /* filtered twist, updated every 20 ms */
+    double odom_noise_yaw; /* of the published heading, drawn anew every 20 ms */
 } vehicle_spec;
 
 typedef struct {
@@ -29,8 +30,10 @@ typedef struct {
     int64_t command_age_ms;
     double force_x, force_y;         /* tyre force of the last step, world frame, for the load transfer */
     double impulse[CONTACTS][2];     /* of the last step, world frame: start of the next solution */
+    double ground_force;             /* N, what the wheels stand on the ground with: the weight, less when lifted */
     double odom_x, odom_y;           /* integral of the wheel speed along the true yaw */
     double odom_v, odom_w;
+    double odom_yaw_error;           /* published heading less the true one */
     double distance;                 /* driven by base_link */
     uint64_t seed;
 } vehicle_state;

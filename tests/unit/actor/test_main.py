@@ -105,3 +105,16 @@ def test_seeds_differ_between_actors_and_after_a_restart() -> None:
     seeds = {actor_seed(0, name, seq) for name in ("a", "b") for seq in range(50)}
     assert len(seeds) == 100
     assert actor_seed(0, "a", 3) == actor_seed(0, "a", 3)
+
+
+def test_a_stop_ends_an_actor_whose_spool_is_full_and_keeps_its_episode(env: NavigationEnv, tmp_path: Path) -> None:
+    with Spool(tmp_path, "run/actor", 1, 1 << 24) as spool:
+        explorer = Explorer(Constant(), env, SILENT, 1000, np.random.default_rng(0))
+        beats: list[dict[str, Any]] = []
+
+        def stop() -> bool:
+            return bool(beats) and beats[-1]["pending"] == 1 and beats[-1]["world"] == -1
+
+        act(env, explorer, spool, seed=0, stop=stop, beat=beats.append)
+        assert len(spool) == 2
+        assert spool.produced == beats[-1]["transitions"]

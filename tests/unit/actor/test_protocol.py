@@ -4,7 +4,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from appl_dist.actor.protocol import PROTOCOLS
+from appl_dist.actor.protocol import PROTOCOLS, Protocol
+from appl_dist.config import CONF, load
+from appl_dist.errors import UserError
+from appl_dist.sim.worlds import load_worlds
+from tests.shared_data import shared
 
 WORLD = SimpleNamespace(path_official=np.array([[-1.275, 5.175], [-2.0, 7.0], [-3.075, 9.525]]))
 
@@ -32,3 +36,43 @@ def test_ros_jackal_counts_a_hundred_decisions_of_a_second() -> None:
     assert PROTOCOLS["ros_jackal"].limit_s == 100.0
     assert PROTOCOLS["ros_jackal"].succeeded(0.0, 11.1, np.zeros(2))
     assert not PROTOCOLS["ros_jackal"].collision_ends
+
+
+def test_configuration_and_code_hold_the_same_rules() -> None:
+    assert {f.stem for f in (CONF / "protocol").glob("*.yaml")} == set(PROTOCOLS)
+    for name, rules in PROTOCOLS.items():
+        assert load([f"protocol={name}"]).protocol == rules
+
+
+def test_a_rule_can_be_changed_and_then_shows() -> None:
+    changed = load(["protocol.limit_s=80"]).protocol
+    assert changed.differences(PROTOCOLS["appl"]) == "limit_s 80.0 and 50.0"
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("protocol.limit_s=0", r"protocol\.limit_s: got 0.0; allowed 0.1"),
+        ("protocol.metric=speed", "protocol.metric: got 'speed'; allowed time, score"),
+        ("protocol.success_y_m=null", "no trial could succeed"),
+        ("protocol.name='a b'", "protocol.name"),
+    ],
+)
+def test_rules_that_cannot_be_are_refused(override: str, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        load([override])
+
+
+def test_optimal_times_are_the_published_ones() -> None:
+    with np.load(shared("barn", "barn_paths.npz")) as published:
+        before_2024, since_2024 = published["optimal_time"], published["official_length_init_m2p25"] / 2.0
+    worlds = load_worlds(shared("barn"))
+    assert [PROTOCOLS["challenge_2022"].optimal_time_s(w) for w in worlds] == pytest.approx(before_2024, rel=1e-6)
+    assert [PROTOCOLS["challenge"].optimal_time_s(w) for w in worlds] == pytest.approx(since_2024, rel=1e-6)
+
+
+def test_rules_are_told_apart() -> None:
+    appl = PROTOCOLS["appl"]
+    assert appl.differences(appl) == ""
+    assert "limit_s 50.0 and 100.0" in appl.differences(PROTOCOLS["ros_jackal"])
+    assert isinstance(appl, Protocol)

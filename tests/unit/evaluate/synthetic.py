@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,20 +44,29 @@ def synthetic_trial(job: Job, gain_s: float) -> Trial:
     success = bool(rng.random() < 0.95)
     if job.method == "fast":
         time_s -= gain_s
+    found = make_trial(job.method, job.world, job.trial, time_s if success else 50.0, success)
+    return replace(found, policy=job.policy, course=job.course, seed=job.seed, digest=f"{job.seed:016x}")
+
+
+def make_trial(method: str, world: int, number: int, time_s: float, success: bool = True) -> Trial:
     return Trial(
-        method=job.method,
-        policy=job.policy,
-        world=job.world,
-        trial=job.trial,
-        seed=job.seed,
+        method=method,
+        policy="p",
+        protocol="appl",
+        world=world,
+        course="",
+        trial=number,
+        seed=1,
         success=success,
-        time_s=time_s if success else 50.0,
+        time_s=time_s,
         outcome="goal" if success else "timeout",
-        collided=False,
+        collisions=0,
         distance_m=6.0,
         min_clearance_m=0.1,
-        decisions=10,
         recoveries=0,
+        decisions=2,
+        digest="0" * 16,
+        parameters="0.5 1.57 6 20 0.1 0.75 1 0.3;",
     )
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from appl_dist.spec import DWA
 from benchmarks import headroom
+from tests.unit.evaluate.synthetic import make_trial
 
+SYNTHETIC = make_trial("", 0, 0, 1.0)
 LABELS = [f"set-{i}" for i in range(16)]
 
 
@@ -26,7 +29,7 @@ class Times:
         i = int(label.split("-")[1])
         noise_s = float(np.random.default_rng([world, number, i]).normal())
         time_s = (20 + i if world % 2 == 0 else 40 - i) + noise_s
-        return headroom.Trial(label, "", world, number, 0, True, time_s, "goal", False, 6.0, 0.1, 9, 0)
+        return replace(SYNTHETIC, method=label, world=world, trial=number, time_s=time_s)
 
 
 def test_tuning_once_finds_the_set_that_is_best_on_average() -> None:

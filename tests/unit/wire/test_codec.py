@@ -18,7 +18,7 @@ from appl_dist.wire.codec import (
     encode_header,
     encode_rollout,
     pack,
-    transitions_in,
+    shape_in,
 )
 from tests.unit.wire.support import make_rollout
 
@@ -152,7 +152,7 @@ def test_the_length_of_the_layout_is_bounded_before_it_is_read():
 
 
 def test_transitions_are_known_without_decoding():
-    assert transitions_in(encode_rollout(make_rollout(0, transitions=11))) == 11
+    assert shape_in(encode_rollout(make_rollout(0, transitions=11))) == (11, 8)
 
 
 HEADERS = [

@@ -234,7 +234,7 @@ def test_a_bad_message_is_counted_logged_once_and_refused_with_a_reason(hub, cap
 
 @pytest.mark.parametrize(
     ("max_waiting", "others_ids"),
-    [(2, ("b1", "b2", "b3", "b4", "b5")), (100, ("b1",) * 5)],
+    [(16, ("b1", "b2", "b3", "b4", "b5")), (100, ("b1",) * 5)],
     ids=["of everyone", "of one actor"],
 )
 def test_a_full_queue_answers_busy_at_once(hub, max_waiting, others_ids):
@@ -265,6 +265,55 @@ def test_a_full_queue_answers_busy_at_once(hub, max_waiting, others_ids):
     for thread in [first, *others]:
         thread.join(20)
     assert sorted(answers) == ["busy"] * 3 + ["welcome"] * 3
+    server.close()
+
+
+def test_strangers_cannot_fill_the_queue_of_those_who_said_hello(hub):
+    release, entered = threading.Event(), threading.Event()
+
+    class Slow(ScriptedSink):
+        def expected_seq(self, actor_id: str) -> int:
+            if actor_id == "slow":
+                entered.set()
+                release.wait(20)
+            return 0
+
+    sink = Slow()
+    server = UploadServer(hub.connect(), "run1", sink, max_waiting=16)
+    good, bad = hub.connect(), hub.connect()
+    assert ask(good, hello(good)).status == "welcome"
+    threads = [threading.Thread(target=ask, args=(bad, hello(bad, actor="slow"), b"", keys.upload("run1", "slow")))]
+    threads[0].start()
+    assert entered.wait(20)
+    answers: list[str] = []
+    for i in range(40):
+        key, header = keys.upload("run1", f"b{i}"), hello(bad, actor=f"b{i}")
+        thread = threading.Thread(target=lambda k=key, h=header: answers.append(ask(bad, h, b"", k).status))
+        thread.start()
+        threads.append(thread)
+    assert wait_until(lambda: len(answers) == 38)  # two wait, the rest is turned away
+    upload = UploadHeader("run1", "a0", good.identity, 0, 0, 3)
+    thread = threading.Thread(target=ask, args=(good, upload, encode_rollout(make_rollout(7))))
+    thread.start()
+    threads.append(thread)
+    release.set()
+    for thread in threads:
+        thread.join(20)
+    assert sink.seen == [7]
+    server.close()
+
+
+def test_senders_of_what_was_refused_are_counted_by_name_and_logged_in_bounds(hub, caplog):
+    server = UploadServer(hub.connect(), "run1", ScriptedSink())
+    bus = hub.connect()
+    for i in range(1100):
+        ask(bus, b"junk", key=keys.upload("run1", f"b{i}"))
+    for _ in range(50):
+        ask(bus, b"junk", key=keys.upload("run1", "b0"))
+    refused = server.refused(3)
+    assert (refused["others"], refused["run1/b0"]) == (1100 - 1024, 51)
+    assert server.counts["malformed"] == 1150
+    assert len(caplog.records) < 40
     server.close()
 
 

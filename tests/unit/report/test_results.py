@@ -13,20 +13,15 @@ import pytest
 from rich.console import Console
 
 from appl_dist.errors import UserError
-from appl_dist.evaluate import figures
 from appl_dist.evaluate.analysis import Analysis, analyse, as_dict
-from appl_dist.evaluate.tables import mean_table, wins_table
-from appl_dist.evaluate.trials import Trial
 from appl_dist.files import write_atomic
+from appl_dist.report import figures, style
+from appl_dist.report.tables import mean_table, wins_table
+from tests.unit.evaluate.synthetic import make_trial
 
 GROUPS = {"train": [0, 1, 2], "test": [3]}
 # Mean times in worlds 0..3; trials lie 0.1 s around them, so every difference of a second is significant.
 TIMES_S = {"default": (20.0, 30.0, 40.0, 50.0), "fixed": (20.0, 25.0, 40.0, 45.0), "applr": (15.0, 20.0, 41.0, 30.0)}
-
-
-def make_trial(method: str, world: int, number: int, time_s: float, success: bool = True) -> Trial:
-    outcome = "goal" if success else "timeout"
-    return Trial(method, "p", world, number, 1, success, time_s, outcome, False, 6.0, 0.1, 10, 0)
 
 
 @pytest.fixture
@@ -99,12 +94,12 @@ def test_summary_is_json_without_nan(analysis: Analysis) -> None:
     plain = json.loads(text)
     assert plain["groups"]["test"]["comparisons"][0]["improvement_low_s"] is None
     assert plain["groups"]["train"]["methods"]["default"]["mean_time_s"] == pytest.approx(30.0)
-    assert plain["outcomes"]["applr"] == {"goal": 12}
+    assert plain["groups"]["train"]["methods"]["applr"]["outcomes"] == {"goal": 9}
 
 
 def test_figures_are_written_and_repeat_byte_for_byte(analysis: Analysis, tmp_path: Path) -> None:
-    files = figures.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "difference")
-    again = figures.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "again")
+    files = style.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "difference")
+    again = style.save_figure(figures.difference_figure(analysis, "applr", "default"), tmp_path / "again")
     assert [f.read_bytes() for f in files] == [f.read_bytes() for f in again]
     assert files[0].read_bytes().startswith(b"\x89PNG")
     assert files[1].read_bytes().startswith(b"%PDF")

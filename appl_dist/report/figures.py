@@ -1,15 +1,10 @@
-"""Figures of an evaluation and of a training run, as PNG and PDF.
-
-Colours are Okabe and Ito's, which colour-blind readers tell apart; no figure needs colour alone: bars
-also differ in sign, lines in dash. matplotlib is imported on first use and never opens a window.
-"""
+"""Figures of an evaluation and of a training run."""
 
 from __future__ import annotations
 
 import contextlib
-import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,24 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
-from appl_dist.evaluate.analysis import DEFAULT, FIXED, Analysis
-from appl_dist.files import write_atomic
+from appl_dist.evaluate.analysis import Analysis
+from appl_dist.evaluate.statistics import performance_profile
+from appl_dist.report.style import BASELINE_STYLES, BLUE, GREY, LINES, VERMILLION, method_styles, stacked
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-BLUE, VERMILLION, GREY = "#0072B2", "#D55E00", "#B0B0B0"
-LINES = (BLUE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-BASELINE_STYLES = {DEFAULT: ("#000000", "--"), FIXED: (VERMILLION, "-.")}
-WIDTH_IN = 7.0
-STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "pdf.fonttype": 42,
-}
 
 
 def difference_figure(analysis: Analysis, method: str, versus: str) -> Figure:
@@ -42,7 +25,7 @@ def difference_figure(analysis: Analysis, method: str, versus: str) -> Figure:
 
     One panel a group of worlds, as in APPL journal Fig. 8.
     """
-    figure, panels = _panels(len(analysis.groups), height_in=2.1)
+    figure, panels = stacked(len(analysis.groups), height_in=2.1)
     for panel, group in zip(panels, analysis.groups, strict=True):
         c = group.comparisons[method, versus]
         order = np.argsort(c.difference_s, kind="stable")
@@ -54,7 +37,11 @@ def difference_figure(analysis: Analysis, method: str, versus: str) -> Figure:
         )
         rank = np.arange(1, len(order) + 1)
         for chosen, colour, label in kinds:
-            panel.bar(rank[chosen], difference_s[chosen], width=0.9, color=colour, label=label)
+            panel.bar(
+                rank[chosen], difference_s[chosen], width=0.9, color=colour, label=label if chosen.any() else None
+            )
+            if not chosen.any():
+                panel.plot([], [], "s", color=colour, markersize=8, label=label)
         panel.axhline(0.0, color="black", linewidth=0.6)
         panel.axhline(
             -c.improvement_s,
@@ -74,9 +61,9 @@ def difference_figure(analysis: Analysis, method: str, versus: str) -> Figure:
 
 def ecdf_figure(analysis: Analysis) -> Figure:
     """Share of trials that have reached the goal by a time, per method; where it ends is the success rate."""
-    figure, panels = _panels(len(analysis.groups), height_in=2.4)
+    figure, panels = stacked(len(analysis.groups), height_in=2.4)
     for panel, group in zip(panels, analysis.groups, strict=True):
-        for method, (colour, style) in _method_styles(analysis.methods).items():
+        for method, (colour, style, _) in method_styles(analysis.methods).items():
             s = analysis.samples[method]
             times_s = np.sort(np.concatenate([s.times_s[w] for w in group.worlds]))
             reached_s = times_s[times_s < analysis.failed_time_s]
@@ -93,6 +80,54 @@ def ecdf_figure(analysis: Analysis) -> Figure:
     return figure
 
 
+def times_figure(analysis: Analysis) -> Figure:
+    """Mean traversal time of every world, worlds ordered by the mean over methods, with fits, as ICRA 2021 Fig. 5.
+
+    Ordering by all methods together favours none; the fits are least squares over the order.
+    """
+    figure, found = stacked(len(analysis.groups), height_in=2.4)
+    for panel, group in zip(found, analysis.groups, strict=True):
+        means = np.array([[analysis.samples[m].times_s[w].mean() for w in group.worlds] for m in analysis.methods])
+        order = np.argsort(means.mean(axis=0), kind="stable")
+        rank = np.arange(1, len(order) + 1)
+        for (method, (colour, dash, marker)), values in zip(
+            method_styles(analysis.methods).items(), means, strict=True
+        ):
+            panel.plot(rank, values[order], marker, color=colour, markersize=3.5, markeredgewidth=0.9, alpha=0.85)
+            label = f"{method}: mean {values.mean():.1f} s"
+            if len(rank) > 1:
+                panel.plot(rank, np.polyval(np.polyfit(rank, values[order], 1), rank), color=colour, linestyle=dash)
+            panel.plot([], [], color=colour, linestyle=dash, marker=marker, markersize=4, label=label)
+        panel.axhline(analysis.failed_time_s, color=GREY, linewidth=0.7, linestyle=":")
+        panel.set_ylim(0.0, 1.2 * float(means.max()))  # room for the legend
+        panel.set_xlim(0.0, len(order) + 1.0)
+        panel.grid(axis="y", color="#E0E0E0", linewidth=0.6)
+        panel.set_ylabel("mean traversal time, s")
+        panel.set_title(f"{group.name}: {len(order)} worlds", loc="left", fontsize=9)
+        panel.legend(loc="upper left", fontsize=8, frameon=False)
+    found[-1].set_xlabel("worlds, ordered by the mean over methods")
+    return figure
+
+
+def profile_figure(analysis: Analysis) -> Figure:
+    """Performance profiles: share of worlds a method crosses within a factor of the best method's mean time."""
+    figure, found = stacked(len(analysis.groups), height_in=2.2)
+    ratios = np.linspace(1.0, 5.0, 401)
+    for panel, group in zip(found, analysis.groups, strict=True):
+        means = np.array([[analysis.samples[m].times_s[w].mean() for w in group.worlds] for m in analysis.methods])
+        shares = performance_profile(means, ratios)
+        for (method, (colour, dash, _)), share in zip(method_styles(analysis.methods).items(), shares, strict=True):
+            panel.step(ratios, share, where="post", color=colour, linestyle=dash, linewidth=1.5, label=method)
+        panel.set_xlim(1.0, ratios[-1])
+        panel.set_ylim(0.0, 1.02)
+        panel.grid(color="#E0E0E0", linewidth=0.6)
+        panel.set_ylabel("share of worlds")
+        panel.set_title(f"{group.name}: {len(group.worlds)} worlds", loc="left", fontsize=9)
+    found[0].legend(loc="lower right", fontsize=8, frameon=False)
+    found[-1].set_xlabel("mean traversal time / that of the world's fastest method")
+    return figure
+
+
 def learning_figure(
     transitions: NDArray[Any],
     time_s: NDArray[Any],
@@ -104,11 +139,11 @@ def learning_figure(
     `baselines`: label to (mean traversal time in s, success), drawn as lines; as in the running means, a
     failure counts the protocol's `failed_time_s` in the times.
     """
-    figure, (above, below) = _panels(2, height_in=2.0, share_x=True)
+    figure, (above, below) = stacked(2, height_in=2.0, share_x=True)
     for panel, values, name in ((above, time_s, "traversal time, s"), (below, success, "success")):
         panel.plot(transitions, values, color=BLUE, linewidth=1.5, label="while training, with exploration noise")
         for label, pair in baselines.items():
-            colour, style = BASELINE_STYLES.get(label, (LINES[1], ":"))
+            colour, style, _ = BASELINE_STYLES.get(label, (LINES[1], ":", ""))
             value = pair[0] if panel is above else pair[1]
             panel.axhline(value, color=colour, linestyle=style, linewidth=1.1, label=label)
         panel.grid(color="#E0E0E0", linewidth=0.6)
@@ -140,36 +175,3 @@ def read_metrics(path: str | Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[
         raise UserError(f"{path}: has no line with episode/time_s and episode/success; nothing to draw")
     transitions, time_s, success = np.array(sorted(rows, key=lambda r: r[0])).T
     return transitions, time_s, success
-
-
-def save_figure(figure: Figure, path: Path) -> list[Path]:
-    """Write `path`.png and `path`.pdf; the same figure gives the same bytes."""
-    import matplotlib
-
-    written = []
-    for kind, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
-        data = io.BytesIO()
-        with matplotlib.rc_context(STYLE):
-            figure.savefig(data, format=kind, dpi=160, metadata=metadata)
-        file = path.with_name(f"{path.name}.{kind}")
-        write_atomic(file, data.getvalue())
-        written.append(file)
-    return written
-
-
-def _panels(count: int, height_in: float, share_x: bool = False) -> tuple[Figure, Sequence[Axes]]:
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 0.6 + height_in * count), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.subplots(count, 1, squeeze=False, sharex=share_x)
-    return figure, list(axes[:, 0])
-
-
-def _method_styles(methods: Sequence[str]) -> dict[str, tuple[str, str]]:
-    others = [m for m in methods if m not in BASELINE_STYLES]
-    own = {m: (LINES[i % len(LINES)], "-") for i, m in enumerate(others)}
-    return {m: BASELINE_STYLES[m] if m in BASELINE_STYLES else own[m] for m in methods}

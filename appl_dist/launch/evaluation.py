@@ -1,0 +1,89 @@
+"""Evaluate, replay and report from a configuration."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+
+from appl_dist.actor.worldset import select_worlds, split_groups
+from appl_dist.config import Settings, as_dict, cores
+from appl_dist.evaluate.workers import Crew
+from appl_dist.launch.replay import open_env
+from appl_dist.launch.roles import environment_arguments
+from appl_dist.launch.view import make_console
+
+log = logging.getLogger(__name__)
+
+
+def evaluate(settings: Settings) -> int:
+    """Compare the configured methods; prints tables, writes trials, tables, figures and the report."""
+    folder = Path(settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S"))
+    with _terminable():
+        try:
+            evaluate_methods(settings, list(settings.evaluation.methods.items()), folder, make_console())
+        except KeyboardInterrupt:
+            log.warning("stopped; finished trials are kept, the same command with evaluation.folder=%s goes on", folder)
+            return 130
+    return 0
+
+
+def evaluate_methods(
+    settings: Settings, methods: Sequence[tuple[str, str]], folder: Path, console: Console, run: Path | None = None
+) -> None:
+    """Evaluate (label, policy) pairs under `settings` into `folder` and report. run: the training run it belongs to."""
+    from appl_dist.evaluate.main import evaluate as run_evaluation
+
+    world = settings.world
+    worlds = select_worlds(world.path, world.count, world.seed, settings.evaluation.worlds)
+    with _workers(settings, folder) as workers:
+        run_evaluation(
+            methods,
+            worlds,
+            settings.evaluation.trials,
+            folder,
+            protocol=settings.protocol,
+            environment=environment_arguments(settings),
+            groups=split_groups(world.path, [w.index for w in worlds]),
+            workers=workers,
+            seed=settings.run.seed,
+            settings=as_dict(settings),
+            console=console,
+        )
+    from appl_dist.report.main import print_tables, write_report
+
+    report = write_report([run or folder], folder, open_env)
+    print_tables(report, console)
+
+
+@contextmanager
+def _workers(settings: Settings, folder: Path) -> Iterator[int | Crew]:
+    """Processes of this machine, or whatever actors come to the endpoint."""
+    if not settings.evaluation.spread:
+        yield settings.evaluation.workers or cores()
+        return
+    from appl_dist.launch.spread import SpreadCrew
+    from appl_dist.wire.session import open_session
+
+    with open_session(settings.wire, listen=True) as session:
+        log.info("trials wait for actors: appl-dist actors wire.endpoint=%s", settings.wire.endpoint)
+        yield SpreadCrew(session, f"{folder.resolve().name}-{session.identity[:8]}", settings)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM ends as Ctrl-C does: workers stopped, the log whole."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,52 @@
+"""`appl-dist status`: what a run is doing, asked of its learner over the wire. Also what health checks call."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from appl_dist.config import Settings
+from appl_dist.errors import UserError
+from appl_dist.launch import view
+from appl_dist.launch.runs import whereabouts
+from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.credentials import VIEWER
+
+ANSWER_S = 5.0
+SILENT_S = 60.0  # a learner or an actor that has not moved for so long is not well
+HERE = "--here"
+
+
+def status(settings: Settings, here: bool = False) -> int:
+    """Print the status of the run; UserError if nobody answers or the learner hangs.
+
+    here: also if no actor of this host has been heard of lately.
+    """
+    from appl_dist.wire.session import open_session
+
+    wire = replace(settings.wire, timeout_s=min(settings.wire.timeout_s, ANSWER_S))
+    if settings.actor.run:
+        where = whereabouts(Path(settings.actor.run))
+        if where.ended:
+            raise UserError(f"the run in {settings.actor.run} has ended")
+        wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
+    with open_session(wire, listen=False, identity=VIEWER) as session:
+        run_id, _ = fetch_run(session, ANSWER_S)
+        answer = fetch_status(session, run_id, ANSWER_S)
+    if "error" in answer:
+        raise UserError(f"the learner cannot tell its status: {answer['error']}")
+    check(answer, socket.gethostname() if here else "")
+    console = view.make_console()
+    console.print(view.render(answer, []))
+    return 0
+
+
+def check(answer: dict[str, Any], host: str = "") -> None:
+    """UserError if the learner hangs, or if no actor on `host` ("": any or none) has been heard of lately."""
+    if answer["age_s"] > SILENT_S:
+        raise UserError(f"the learner of {answer['run_id']} answers, but has not moved for {answer['age_s']:.0f} s")
+    lively = [a for a in answer["actors"] if a["silent_s"] <= SILENT_S]
+    if host and not any(a["host"] == host for a in lively):
+        raise UserError(f"no actor on {host} was heard of in the last {SILENT_S:.0f} s; {len(lively)} are elsewhere")
