@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from appl_dist.learner.replay import Batch
+from appl_dist.learner.rows import Batch
 from appl_dist.spec import BEARING, SCAN
 
 

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
 from appl_dist.learner.priorities import Priorities, Rows
+from appl_dist.learner.rows import Batch, RowLayout
 from appl_dist.learner.storage import FolderClaim, MappedArray
 from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, FloatArray, Rollout
 
 FORMAT = 1
 MAX_ACTORS = 1 << 16
-MAX_ROLLOUT = (1 << 16) - 1  # `left` is uint16
 _ACTOR_ID_BYTES = 64
 _FILES = ("rows.bin", "index.bin", "actors.bin", "header.bin")
 
@@ -45,25 +45,6 @@ _ENTRY = np.dtype(
     ]
 )
 _ACTOR = np.dtype([("id", f"S{_ACTOR_ID_BYTES}"), ("floor", "<i8")])  # floor: sequence numbers below are evicted
-
-
-@dataclass(frozen=True)
-class Batch:
-    """b transitions ready for a TD update; everything float32.
-
-    observations, next_observations (b, obs); actions (b, act); returns (b,) the n-step reward sum
-    sum_i gamma^i r_i; discounts (b,) what multiplies the value of next_observations: gamma^k for the k <= n
-    steps summed, 0 where the episode ended for good. From a prioritised replay also rows (b,) int64, to be given back
-    with their TD errors, and weights (b,) of each error in the critics' loss.
-    """
-
-    observations: FloatArray
-    actions: FloatArray
-    returns: FloatArray
-    discounts: FloatArray
-    next_observations: FloatArray
-    rows: Rows | None = None
-    weights: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -106,32 +87,14 @@ class Replay:
             raise ValueError(f"n_step: got {n_step}; at least 1")
         if not 0.0 <= gamma <= 1.0:
             raise ValueError(f"gamma: got {gamma}; allowed 0..1")
-        if scan_dtype not in ("uint8", "uint16"):
-            raise ValueError(f"scan_dtype: got {scan_dtype!r}; allowed uint8, uint16")
         if not 0.0 <= priority_exponent <= 1.0:
             raise ValueError(f"priority_exponent: got {priority_exponent}; allowed 0..1")
         self.capacity, self.n_step, self.gamma = capacity, n_step, gamma
-        self._scan_size, self._scan_dtype = scan_size, np.dtype(scan_dtype)
-        self._levels = float(np.iinfo(self._scan_dtype).max)
-        self._shape = (observation_size, action_size)
-        self._row = np.dtype(
-            [
-                ("scan", scan_dtype, (scan_size,)),
-                ("other", "<f4", (observation_size - scan_size,)),
-                ("action", "<f4", (action_size,)),
-                ("reward", "<f4"),
-                (
-                    "left",
-                    "<u2",
-                ),  # transitions from here to the rollout's end; 0: its last observation, or a gap
-                ("terminal", "u1"),  # the rollout's, on every row
-            ],
-            align=True,
-        )
+        self.layout = RowLayout(observation_size, scan_size, action_size, scan_dtype)
         self._rows_count = capacity + capacity // 16 + 1
         self.folder = None if folder is None else Path(folder)
         self._claim = None if self.folder is None else FolderClaim(self.folder, self._meta(), _FILES)
-        self._rows = self._array("rows.bin", self._row, self._rows_count)
+        self._rows = self._array("rows.bin", self.layout.dtype, self._rows_count)
         self._index = self._array("index.bin", _ENTRY, self._rows_count // 2 + 1)  # a rollout has >= 2 rows
         self._actors = self._array("actors.bin", _ACTOR, MAX_ACTORS)
         self._header = self._array("header.bin", _HEADER, 1)
@@ -193,11 +156,6 @@ class Replay:
         """Rollouts ever inserted."""
         return int(self._header.data["inserted"][0])
 
-    @property
-    def scan_error(self) -> float:
-        """Largest error of a stored scan entry, in observation units (1 unit = 1 m of range)."""
-        return 1.0 / self._levels
-
     def expected_seq(self, actor_id: str) -> int:
         """The sequence number `insert` takes next from this actor; 0 for one never seen."""
         return self._expected.get(actor_id, 0)
@@ -216,41 +174,11 @@ class Replay:
                 return False
             if seq > expected:
                 raise ValueError(f"actor {actor_id!r}: got rollout {seq}; expected {expected}")
-            rows = self._pack(rollout)
+            rows = self.layout.pack(rollout, self.capacity)
             slot = self._actor_slot(actor_id)
             self._append(rows, slot, seq)
             self._expected[actor_id] = seq + 1
             return True
-
-    def _pack(self, rollout: Rollout) -> NDArray[Any]:
-        """(n + 1,) rows of a rollout, checked against this replay's layout."""
-        n, (obs_size, action_size) = len(rollout), self._shape
-        if not 1 <= n <= min(MAX_ROLLOUT, self.capacity):
-            raise ValueError(f"rollout: got {n} transitions; allowed 1..{min(MAX_ROLLOUT, self.capacity)}")
-        for name, shape in (
-            ("observations", (n + 1, obs_size)),
-            ("actions", (n, action_size)),
-            ("rewards", (n,)),
-        ):
-            array = getattr(rollout, name)
-            if array.shape != shape:
-                raise ValueError(f"{name}: got shape {array.shape}; expected {shape}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name}: holds a value that is not finite")
-        scan = rollout.observations[:, : self._scan_size]
-        for name, array in (("scan", scan), ("actions", rollout.actions)):
-            worst = float(np.abs(array).max(initial=0.0))
-            if worst > 1.0:
-                raise ValueError(f"{name}: got {worst:g}; allowed -1..1 (store what was executed, clipped)")
-        rows = np.zeros(n + 1, self._row)
-        # Adding a half and truncating rounds to nearest; the product is never negative.
-        rows["scan"] = (scan * (self._levels / 2) + (self._levels / 2 + 0.5)).astype(self._scan_dtype)
-        rows["other"] = rollout.observations[:, self._scan_size :]
-        rows["action"][:n] = rollout.actions
-        rows["reward"][:n] = rollout.rewards
-        rows["left"] = np.arange(n, -1, -1)
-        rows["terminal"] = rollout.terminal
-        return rows
 
     def _actor_slot(self, actor_id: str) -> int:
         slot = self._slots.get(actor_id)
@@ -336,11 +264,11 @@ class Replay:
         powers = np.where(steps < taken[:, None], self.gamma**steps, 0.0)  # (b, n)
         ended = (now["terminal"] != 0) & (taken == left)
         return Batch(
-            observations=self._unpack(now),
+            observations=self.layout.unpack(now),
             actions=np.ascontiguousarray(now["action"]),
             returns=(rewards * powers).sum(1).astype(np.float32),
             discounts=np.where(ended, 0.0, self.gamma**taken).astype(np.float32),
-            next_observations=self._unpack(then),
+            next_observations=self.layout.unpack(then),
             rows=None if weights is None else first,
             weights=weights,
         )
@@ -362,14 +290,6 @@ class Replay:
             rows = (self._tail + rng.integers(live, size=size)) % self._rows_count
             kept = np.concatenate((kept, rows[left[rows] > 0]))
         return kept[:batch]
-
-    def _unpack(self, rows: NDArray[Any]) -> FloatArray:
-        observations: FloatArray = np.empty((len(rows), self._shape[0]), np.float32)
-        scan = observations[:, : self._scan_size]
-        np.multiply(rows["scan"], np.float32(2.0 / self._levels), out=scan, dtype=np.float32)
-        scan -= 1.0
-        observations[:, self._scan_size :] = rows["other"]
-        return observations
 
     # ---- the folder
 
@@ -400,10 +320,10 @@ class Replay:
         return {
             "format": FORMAT,
             "capacity": self.capacity,
-            "observation_size": self._shape[0],
-            "scan_size": self._scan_size,
-            "scan_dtype": self._scan_dtype.name,
-            "action_size": self._shape[1],
+            "observation_size": self.layout.observation_size,
+            "scan_size": self.layout.scan_size,
+            "scan_dtype": self.layout.scan_dtype.name,
+            "action_size": self.layout.action_size,
         }
 
     def _recover(self) -> None:

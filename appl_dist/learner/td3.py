@@ -19,7 +19,7 @@ from torch import Tensor
 from appl_dist.errors import UserError
 from appl_dist.learner.networks import FlatMLP
 from appl_dist.learner.optimiser import Adam, Workers, average
-from appl_dist.learner.replay import Batch
+from appl_dist.learner.rows import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.spec import FloatArray
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from appl_dist.learner.augment import mirrored
-from appl_dist.learner.replay import Batch
+from appl_dist.learner.rows import Batch
 from appl_dist.sim.simulator import LidarSettings, Simulator
 from appl_dist.spec import BEARING, LIDAR_BEAMS, OBSERVATION_SIZE, PARAMETERS, SCAN
 from tests.unit.sim.courses import course

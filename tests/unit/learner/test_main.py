@@ -39,6 +39,7 @@ def rollout(seed: int, world: int, success: bool) -> Rollout:
 
     info = {
         "world": world, "ended": True, "success": success, "time_s": 20.0, "return": -3.0, "policy_version": 1,
+        "policy_epoch": 1,
     }  # fmt: skip
     return Rollout(uniform(11, OBSERVATION_SIZE), uniform(10, 8), uniform(10), True, info)
 

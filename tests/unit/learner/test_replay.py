@@ -14,7 +14,8 @@ import pytest
 
 from appl_dist.errors import UserError
 from appl_dist.learner import storage
-from appl_dist.learner.replay import Batch, Replay
+from appl_dist.learner.replay import Replay
+from appl_dist.learner.rows import Batch
 from appl_dist.spec import OBSERVATION_SIZE, Rollout
 from tests.unit.learner.helpers import rollout, small_replay
 
@@ -105,8 +106,8 @@ def test_values_come_back_scan_within_its_error_the_rest_exact() -> None:
         replay.insert(Rollout(obs, np.zeros((2, 8), np.float32), np.zeros(2, np.float32), True, {}), "a", 0)
         batch = replay.sample(50, rng)
         row = batch.observations[np.argmax(batch.observations[:, 720] == np.float32(0.123))]
-        assert replay.scan_error == 1 / levels
-        np.testing.assert_allclose(row[:720], obs[0, :720], atol=replay.scan_error + 1e-6)
+        assert replay.layout.scan_error == 1 / levels
+        np.testing.assert_allclose(row[:720], obs[0, :720], atol=replay.layout.scan_error + 1e-6)
         np.testing.assert_array_equal(row[720:], obs[0, 720:])
         assert (row[0], row[1]) == (-1.0, 1.0)
 
