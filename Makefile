@@ -32,6 +32,7 @@ lint: venv
 
 # The comparisons of benchmarks/README.md that take minutes; the long ones are listed there with their commands.
 bench: venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -r benchmarks/requirements.lock
 	$(BIN)/python benchmarks/actor_throughput.py --worlds "$(BARN)"
 	$(BIN)/python benchmarks/planner_cycle.py
 	$(BIN)/python benchmarks/td3_update.py
