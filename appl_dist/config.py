@@ -105,7 +105,7 @@ class EvaluationSettings:
     """methods: policies by label; a policy is "default", a policy file, "set:name=value,…" or a published set.
 
     worlds: a split, as in `world`. workers: 0 takes one per core. spread: instead hand the trials to the actors that
-    connect to wire.endpoint, on this machine or others.
+    connect to wire.endpoint, on this machine or others. report: besides tables, draw figures and write the page.
     """
 
     methods: dict[str, str] = field(default_factory=dict)
@@ -113,6 +113,7 @@ class EvaluationSettings:
     trials: int = 10
     workers: int = 0
     spread: bool = False
+    report: bool = True
     folder: str = ""
 
 

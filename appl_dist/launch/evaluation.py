@@ -57,7 +57,7 @@ def evaluate_methods(
         )
     from appl_dist.report.main import print_tables, write_report
 
-    report = write_report([run or folder], folder, open_env)
+    report = write_report([run or folder], folder, open_env, pictures=settings.evaluation.report)
     print_tables(report, console)
 
 

@@ -259,7 +259,8 @@ private:
     static const double *finite(const Array &a, const char *name, long n) {
         const double *v = checked<const double>(a, name, {n});
         for (long i = 0; i < n; ++i)
-            if (!std::isfinite(v[i])) throw nb::value_error((std::string(name) + ": holds a value that is not finite").c_str());
+            // In float32: the planner of ROS reads poses and velocities in that precision.
+            if (!std::isfinite(static_cast<float>(v[i]))) throw nb::value_error((std::string(name) + ": holds a value that is not finite").c_str());
         return v;
     }
     std::unique_ptr<char, Free> memory_;

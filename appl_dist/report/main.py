@@ -31,10 +31,11 @@ class Report:
     folder: Path
 
 
-def write_report(runs: Sequence[Path], folder: Path, open_env: OpenEnv | None = None) -> Report:
+def write_report(runs: Sequence[Path], folder: Path, open_env: OpenEnv | None = None, pictures: bool = True) -> Report:
     """Read the evaluations in `runs` and write their report into `folder`. Raises UserError.
 
-    open_env: makes the environment of an evaluation, for replays; without it the page has none.
+    open_env: makes the environment of an evaluation, for replays; without it the page has none. pictures: False
+    writes the tables alone.
     """
     data = gather(runs)
     tables = all_tables(data.analysis, data.courses, data.protocol.metric)
@@ -42,6 +43,8 @@ def write_report(runs: Sequence[Path], folder: Path, open_env: OpenEnv | None = 
         write_atomic(folder / "tables" / f"{table.name}.csv", table.csv())
     write_atomic(folder / "tables.md", "\n".join(t.markdown() for t in tables))
     write_atomic(folder / "tables.tex", "\n".join(t.latex() for t in tables))
+    if not pictures:
+        return Report(data, tuple(tables), folder)
     shown, replays = _pictures(data, folder / "figures", open_env)
     write_atomic(folder / "report.html", render(data, tables, shown, replays))
     return Report(data, tuple(tables), folder)
@@ -71,4 +74,4 @@ def print_tables(report: Report, console: Console) -> None:
     for table in report.tables:
         if table.name in ("score", "mean", "wins"):
             console.print(table.rich())
-    console.print(f"trials, tables, figures and report.html in {report.folder}", highlight=False)
+    console.print(f"trials, tables and report in {report.folder}", highlight=False)

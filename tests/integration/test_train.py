@@ -28,6 +28,7 @@ SMALL = [
     "evaluation.worlds=0:2",
     "evaluation.trials=2",
     "evaluation.workers=2",
+    "evaluation.report=false",
     "actors=2",
 ]
 
@@ -104,13 +105,13 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_run_ends_with_a_policy_tables_and_pictures(folder: Path) -> None:
-    run = Run(folder)
+    run = Run(folder, "evaluation.report=true")
     out = run.finish()
     assert run.process.returncode == 0, out
     policy = PolicyFile.load(folder / "policy.safetensors")
     assert policy.transitions >= 200
     assert policy.weights[0].shape == (32, 729)
-    assert (folder / "evaluation" / "table_mean.md").read_text().count("learned") >= 1
+    assert (folder / "evaluation" / "tables.md").read_text().count("learned") >= 1
     assert (folder / "evaluation" / "figures" / "learning.png").stat().st_size > 5000
     assert len((folder / "evaluation" / "trials.csv").read_text().splitlines()) >= 2 * 2 * 2
     for actor, (numbered, pending, stored) in accounts(folder).items():

@@ -74,9 +74,7 @@ def test_search_chooses_what_scoring_every_sample_chooses(seed, blocks, smear, m
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    st.integers(0, 2**32 - 1), EXTREMES, EXTREMES, st.floats(-10, 10), st.floats(-1e300, 1e300), st.floats(-1e9, 1e9)
-)
+@given(st.integers(0, 2**32 - 1), EXTREMES, EXTREMES, st.floats(-10, 10), st.floats(-1e38, 1e38), st.floats(-1e9, 1e9))
 def test_poses_at_edges_and_absurd_twists_are_survived(seed, x, y, yaw, v, w):
     rng = np.random.default_rng(seed)
     planner = random_planner(rng, PlannerSettings(global_size_m=8.0, global_origin_m=-4.0), 60, True)
@@ -97,7 +95,7 @@ def test_empty_and_one_point_plans():
     planner.set_plan(np.zeros((0, 2)), 0.0)
     ok, command, _ = planner.local_command(np.zeros(3), np.zeros(2), False)
     assert (ok, command.tolist()) == (False, [0.0, 0.0])
-    planner.set_plan(np.array([[1.0, 0.0]]), 0.0)
+    planner.set_plan(np.array([[0.9, 0.0]]), 0.0)  # points 1 m and more away are pruned
     ok, command, _ = planner.local_command(np.zeros(3), np.zeros(2), False)
     assert ok
     assert command[0] > 0

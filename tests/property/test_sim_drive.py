@@ -35,7 +35,7 @@ def test_the_robot_never_enters_an_obstacle(
         assert simulator.clearance_m > -0.03
         assert simulator.time_s == pytest.approx(0.001 * elapsed)
         assert simulator.collided or not simulator.in_collision
-        assert simulator.odom_pose[2] == simulator.pose[2]
+        assert abs(simulator.odom_pose[2] - simulator.pose[2]) < 6 * simulator.robot.odom_noise_yaw_rad
 
 
 @settings(max_examples=40, deadline=None)
