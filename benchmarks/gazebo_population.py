@@ -33,8 +33,10 @@ from scipy.stats import spearmanr
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.timing import TimingSettings
 from appl_dist.errors import UserError
+from appl_dist.evaluate.breakdown import CLIPS, trial_scores
 from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, course_of, make_methods
+from appl_dist.evaluate.statistics import collect
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Trial, make_jobs, run_jobs
 from appl_dist.sim.worlds import World, load_worlds
@@ -172,23 +174,22 @@ def scores(worlds: Sequence[World], options: Any) -> None:
     protocol = replace(PROTOCOLS["challenge_2022"], goal_radius_m=1.0)
     worlds = [w for w in worlds if w.index % 6 == 0][:: options.every]
     trials = drive("scores", protocol, [("default", "default"), ("v2", V2)], worlds, options)
-    optimal = {w.index: protocol.optimal_time_s(w) for w in worlds}
+    samples = collect(trials, protocol.failed_time_s)
+    low, high = CLIPS["before 2024"]
     table = Table(title=f"score of 2022 at 1 m: {len(worlds)} worlds x {options.runs}")
     for column in ("", "score", "against default", "success", "mean time of successes, s"):
         table.add_column(column, justify="right" if column else "left")
-    base = 0.0
+    points = {
+        label: np.mean([trial_scores(s, w.index, protocol.optimal_time_s(w), low, high) for w in worlds])
+        for label, s in samples.items()
+    }
     for label in ("default", "v2"):
         mine = [t for t in trials if t.method == label]
-        best = np.array([optimal[t.world] for t in mine])
-        points = np.where(
-            [t.success for t in mine], best / np.clip([t.time_s for t in mine], 4.0 * best, 8.0 * best), 0.0
-        )
-        base = base or float(points.mean())
         times = [t.time_s for t in mine if t.success]
         table.add_row(
             label,
-            f"{points.mean():.3f}",
-            f"{points.mean() / base:.2f}",
+            f"{points[label]:.3f}",
+            f"{points[label] / points['default']:.2f}",
             f"{np.mean([t.success for t in mine]):.2f}",
             f"{np.mean(times):.1f}",
         )

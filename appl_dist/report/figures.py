@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
-from appl_dist.evaluate.analysis import Analysis
+from appl_dist.evaluate.analysis import Analysis, Group
 from appl_dist.evaluate.statistics import performance_profile
 from appl_dist.report.style import BASELINE_STYLES, BLUE, GREY, LINES, VERMILLION, method_styles, stacked
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -59,6 +60,15 @@ def difference_figure(analysis: Analysis, method: str, versus: str) -> Figure:
     return figure
 
 
+def _share_axes(panel: Axes, group: Group, share_of: str, left: float, right: float) -> None:
+    """A panel of cumulative shares, from 0 to 1 with a little room for lines at 1."""
+    panel.set_xlim(left, right)
+    panel.set_ylim(0.0, 1.02)
+    panel.grid(color="#E0E0E0", linewidth=0.6)
+    panel.set_ylabel(share_of)
+    panel.set_title(f"{group.name}: {len(group.worlds)} worlds", loc="left", fontsize=9)
+
+
 def ecdf_figure(analysis: Analysis) -> Figure:
     """Share of trials that have reached the goal by a time, per method; where it ends is the success rate."""
     figure, panels = stacked(len(analysis.groups), height_in=2.4)
@@ -70,11 +80,7 @@ def ecdf_figure(analysis: Analysis) -> Figure:
             steps_s = np.concatenate([[0.0], reached_s, [analysis.limit_s]])
             share = np.append(np.arange(len(reached_s) + 1), len(reached_s)) / len(times_s)
             panel.step(steps_s, share, where="post", color=colour, linestyle=style, linewidth=1.5, label=method)
-        panel.set_xlim(0.0, analysis.limit_s)
-        panel.set_ylim(0.0, 1.02)
-        panel.grid(color="#E0E0E0", linewidth=0.6)
-        panel.set_ylabel("share at the goal")
-        panel.set_title(f"{group.name}: {len(group.worlds)} worlds", loc="left", fontsize=9)
+        _share_axes(panel, group, "share at the goal", 0.0, analysis.limit_s)
     panels[0].legend(loc="upper left", fontsize=8, frameon=False)
     panels[-1].set_xlabel("traversal time, s")
     return figure
@@ -118,11 +124,7 @@ def profile_figure(analysis: Analysis) -> Figure:
         shares = performance_profile(means, ratios)
         for (method, (colour, dash, _)), share in zip(method_styles(analysis.methods).items(), shares, strict=True):
             panel.step(ratios, share, where="post", color=colour, linestyle=dash, linewidth=1.5, label=method)
-        panel.set_xlim(1.0, ratios[-1])
-        panel.set_ylim(0.0, 1.02)
-        panel.grid(color="#E0E0E0", linewidth=0.6)
-        panel.set_ylabel("share of worlds")
-        panel.set_title(f"{group.name}: {len(group.worlds)} worlds", loc="left", fontsize=9)
+        _share_axes(panel, group, "share of worlds", 1.0, ratios[-1])
     found[0].legend(loc="lower right", fontsize=8, frameon=False)
     found[-1].set_xlabel("mean traversal time / that of the world's fastest method")
     return figure
