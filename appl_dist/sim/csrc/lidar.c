@@ -64,8 +64,10 @@ static inline void hit_lanes(const double *restrict c, const double *restrict s,
     for (int i = 0; i < LANES; ++i) ranges[i] = (float)found[i] < ranges[i] ? (float)found[i] : ranges[i];
 }
 
-void lidar_cast(const lidar_spec *spec, const double *cosines, const double *sines, const double pose[3],
-                const double *cylinders, size_t n, uint64_t seed, uint64_t stamp, float *ranges) {
+void lidar_cast(const lidar *sensor, const double pose[3], const double *cylinders, size_t n, uint64_t seed,
+                uint64_t stamp, float *ranges) {
+    const lidar_spec *spec = &sensor->spec;
+    const double *cosines = sensor->cosines, *sines = sensor->sines;
     const double c = cos(pose[2]), s = sin(pose[2]), turn = 2.0 * PI / spec->increment;
     const long beams = (long)spec->beams, end = beams - LANES;
     for (long i = 0; i < beams; ++i) ranges[i] = INFINITY;
