@@ -43,8 +43,9 @@ static void walk_point(plan_walk *walk, double x, double y) {
 static void lay_out_waves(rollout_planner *p, const double *plan_x, const double *plan_y, int n, const motion *m,
                           const grid_box *box) {
     const double res = p->frame.res;
-    wavefront_reset(&p->path, &p->frame, p->cost, box);
-    wavefront_reset(&p->goal, &p->frame, p->cost, box);
+    wavefront_open_cells(&p->frame, p->cost, p->open);
+    wavefront_reset(&p->path, &p->frame, p->open, box);
+    wavefront_reset(&p->goal, &p->frame, p->open, box);
     footprint_columns robot;
     if (footprint_fill(&p->shape, &p->frame, m->x, m->y, m->th, &robot))
         for (int i = 0; i < robot.count; ++i)
@@ -64,6 +65,8 @@ static void lay_out_waves(rollout_planner *p, const double *plan_x, const double
     }
     p->goal_column = walk.goal_x, p->goal_row = walk.goal_y;
     if (walk.started) wavefront_target(&p->goal, walk.goal_x, walk.goal_y);
+    wavefront_start(&p->path);
+    wavefront_start(&p->goal);
 }
 
 static sample_window dynamic_window(const rollout_planner *p, const motion *m) {

@@ -32,65 +32,20 @@ static void drop_top(sample_search *s) {
     if (s->open > 0) sift_down(s, 0);
 }
 
-// to[i] = the highest of the entries up to `reach` before and after i, `step` apart.
-static void spread_max(uint8_t *restrict to, const uint8_t *restrict from, int n, int reach, int step) {
-    memcpy(to, from, (size_t)n);
-    for (int k = 1; k <= reach; ++k) {
-        const int d = k * step;
-        for (int i = 0; i < n - d; ++i) {
-            to[i] = to[i] > from[i + d] ? to[i] : from[i + d];
-            to[i + d] = to[i + d] > from[i] ? to[i + d] : from[i];
-        }
-    }
-}
-
-// near_max[b] = highest cost of any cell that a robot centred in block b may stand on. Rows of blocks run together,
-// which can only raise it.
-static void build_near_max(rollout_planner *p) {
-    sample_search *s = &p->search;
-    const int w = p->frame.w, h = p->frame.h, radius = (int)ceil(p->shape.reach / p->frame.res) + 1;
-    const int reach = (radius + SEARCH_BLOCK - 1) / SEARCH_BLOCK;
-    s->border = radius;
-    s->near_w = (w + SEARCH_BLOCK - 1) / SEARCH_BLOCK, s->near_h = (h + SEARCH_BLOCK - 1) / SEARCH_BLOCK;
-    for (int by = 0; by < s->near_h; ++by) {
-        uint8_t tallest[WAVE_SIDE_MAX + SEARCH_BLOCK] = {0};
-        for (int y = by * SEARCH_BLOCK; y < (by + 1) * SEARCH_BLOCK && y < h; ++y)
-            for (int x = 0; x < w; ++x) {
-                const uint8_t c = p->cost[y * w + x];
-                tallest[x] = tallest[x] > c ? tallest[x] : c;
-            }
-        for (int bx = 0; bx < s->near_w; ++bx) {
-            const uint8_t *t = tallest + bx * SEARCH_BLOCK;
-            const uint8_t a = t[0] > t[1] ? t[0] : t[1], b = t[2] > t[3] ? t[2] : t[3];
-            s->near_tmp[by * s->near_w + bx] = a > b ? a : b;
-        }
-    }
-    spread_max(s->near_max, s->near_tmp, s->near_w * s->near_h, reach, 1);
-    memcpy(s->near_tmp, s->near_max, (size_t)(s->near_w * s->near_h));
-    spread_max(s->near_max, s->near_tmp, s->near_w * s->near_h, reach, s->near_w);
-}
-
 // The cost of the pose all samples start from; negative when it is not legal, so none of them is.
 static int start_cost(rollout_planner *p, const motion *m) {
     const grid_frame *g = &p->frame;
     int cx, cy;
     if (!world_to_map(g, m->x, m->y, &cx, &cy) || !wavefront_open(&p->goal, cx, cy)) return -1;
-    const int outline = footprint_outline_cost(&p->shape, g, p->cost, m->x, m->y, cos(m->th), sin(m->th));
+    const int outline = footprint_outline_cost(&p->shape, &p->lines, g, p->cost, m->x, m->y, cos(m->th), sin(m->th));
     const int centre = p->cost[cy * g->w + cx];
     return outline > centre || outline < 0 ? outline : centre;
-}
-
-static inline bool nothing_dearer_near(const rollout_planner *p, int cx, int cy, int occ) {
-    const sample_search *s = &p->search;
-    const int r = s->border;
-    if (cx < r || cy < r || cx >= p->frame.w - r || cy >= p->frame.h - r) return false;
-    return s->near_max[cy / SEARCH_BLOCK * s->near_w + cx / SEARCH_BLOCK] <= occ;
 }
 
 enum { OFF_LIMITS = -1, TOO_NEAR = -2 };
 
 // The cost of one point of a roll-out; OFF_LIMITS where it is not legal, TOO_NEAR an edge where arc_cell cannot tell.
-static int point_cost(rollout_planner *p, const motion *m, const arc *way, int step, int occ) {
+static int point_cost(rollout_planner *p, const motion *m, const arc *way, int step) {
     const grid_frame *g = &p->frame;
     const double per_res = p->search.per_res;
     const arc_pose at = arc_at(way, p->set, m, step);
@@ -98,7 +53,6 @@ static int point_cost(rollout_planner *p, const motion *m, const arc *way, int s
     const int known = arc_cell(g, per_res, at.x, at.y, &cx, &cy);
     if (known <= 0) return known - 1;
     if (!wavefront_open(&p->goal, cx, cy)) return OFF_LIMITS;
-    if (nothing_dearer_near(p, cx, cy, occ)) return occ;
     double sine, cosine;
     arc_sincos(at.th, &sine, &cosine);
     grid_cell corner[FOOTPRINT_CORNERS];
@@ -108,7 +62,7 @@ static int point_cost(rollout_planner *p, const motion *m, const arc *way, int s
                                 &corner[i].x, &corner[i].y);
         if (on <= 0) return on - 1;
     }
-    const int outline = footprint_cells_cost(g, p->cost, corner), centre = p->cost[cy * g->w + cx];
+    const int outline = footprint_cells_cost(&p->lines, g, p->cost, corner), centre = p->cost[cy * g->w + cx];
     return outline > centre || outline < 0 ? outline : centre;
 }
 
@@ -142,7 +96,7 @@ static verdict look(rollout_planner *p, const motion *m, candidate *c, double en
             c->back = c->gap;
             continue;
         }
-        const int cost = point_cost(p, m, &c->way, n - 1 - c->back, c->occ);
+        const int cost = point_cost(p, m, &c->way, n - 1 - c->back);
         if (cost == OFF_LIMITS) return ILLEGAL;
         if (cost == TOO_NEAR) return UNDECIDED;
         c->back += c->gap == COARSEST ? COARSEST : 2 * c->gap;
@@ -260,7 +214,8 @@ grid_box search_start(rollout_planner *p, const motion *m, const sample_window *
     sample_search *s = &p->search;
     const grid_frame *g = &p->frame;
     const int x = world_to_map_clamped(m->x, g->ox, g->w, g->res), y = world_to_map_clamped(m->y, g->oy, g->h, g->res);
-    grid_box box = {x, y, x, y};
+    const int near = 2 + (int)fmin(g->w, (fabs(p->set->heading_lookahead) + m->v * m->v / p->set->acc_lim_x) / g->res);
+    grid_box box = {x - near, y - near, x + near, y + near};  // where turns end and look
     s->per_res = 1.0 / g->res;
     s->row = s->column = s->used = 0;
     s->v = k->min_v;
@@ -271,6 +226,8 @@ grid_box search_start(rollout_planner *p, const motion *m, const sample_window *
         box.x0 = c->x < box.x0 ? c->x : box.x0, box.x1 = c->x > box.x1 ? c->x : box.x1;
         box.y0 = c->y < box.y0 ? c->y : box.y0, box.y1 = c->y > box.y1 ? c->y : box.y1;
     }
+    box.x0 = box.x0 > 0 ? box.x0 : 0, box.x1 = box.x1 < g->w ? box.x1 : g->w - 1;
+    box.y0 = box.y0 > 0 ? box.y0 : 0, box.y1 = box.y1 < g->h ? box.y1 : g->h - 1;
     return box;
 }
 
@@ -328,7 +285,6 @@ static void try_turn(rollout_planner *p, const motion *m, double w, double *ahea
 void search_best(rollout_planner *p, const motion *m, const sample_window *k, bool forward, rollout *best) {
     p->search.start_occ = start_cost(p, m);
     const bool possible = p->search.start_occ >= 0;
-    if (possible) build_near_max(p);
     while (forward && p->search.used > 0) {
         if (possible) score_samples(p, m, best);
         next_samples(p, m, k);

@@ -18,7 +18,7 @@ void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
         int cx, cy;
         if (!world_to_map(&p->frame, m.x, m.y, &cx, &cy)) break;
         const double c = cos(m.th), d = sin(m.th);
-        const int outline = footprint_outline_cost(&p->shape, &p->frame, p->cost, m.x, m.y, c, d);
+        const int outline = footprint_outline_cost(&p->shape, &p->lines, &p->frame, p->cost, m.x, m.y, c, d);
         if (outline < 0) break;
         occ = fmax(fmax(occ, outline), p->cost[cy * p->frame.w + cx]);
         path = wavefront_ros_value(&p->path, cx, cy);
