@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "search.h"
+#include "samples.h"
 
 static int cells_of(double metres, double res) { return (int)(metres / res + 0.5); }
 
@@ -74,8 +74,9 @@ static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int 
     const footprint_shape shape = footprint_make(s->half_length_m, s->half_width_m, s->footprint_padding);
     const int reach = footprint_line_reach(&shape, s->resolution_m);
     p->lines.cells = GRAB(a, int16_t, (2 * reach + 1) * (2 * reach + 1) * (reach + 1));
-    p->search.candidates = GRAB(a, candidate, SEARCH_SAMPLES);
-    p->search.heap = GRAB(a, int32_t, SEARCH_SAMPLES);
+    p->search.blocks = GRAB(a, sample_block, SEARCH_BLOCKS);
+    p->search.turns = GRAB(a, sample_block, TURN_BLOCKS);
+    p->search.lowest = GRAB(a, double, SEARCH_BLOCKS);
     rollout *scratch[3] = {&p->one, &p->two, &p->probe};
     for (int i = 0; i < 3; ++i) {
         scratch[i]->x = GRAB(a, double, p->steps_max);

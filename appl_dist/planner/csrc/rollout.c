@@ -3,6 +3,7 @@
 #include <float.h>
 
 #include "search.h"
+#include "turns.h"
 
 void rollout_reset(rollout_planner *p) {
     p->stuck_left = p->stuck_right = p->rotating_left = p->rotating_right = p->escaping = false;

@@ -21,18 +21,18 @@ typedef struct {
     int capacity, count;
 } rollout_trace;
 
+enum { SEARCH_BLOCKS = 256, TURN_BLOCKS = (SAMPLES_MAX + 15) / 16 };
+
 // Scratch of search.c.
 typedef struct {
-    struct candidate *candidates;  // (SEARCH_SAMPLES)
-    int32_t *heap;                 // (SEARCH_SAMPLES) indices of candidates, the lowest bound first
-    int open;                      // of them
-    int used, row, column;         // candidates made; the sample after them
+    struct sample_block *blocks;   // (SEARCH_BLOCKS) forward samples
+    struct sample_block *turns;    // (TURN_BLOCKS) in place
+    double *lowest;                // (SEARCH_BLOCKS) bounds of the blocks
+    int used;                      // samples in the blocks
+    int row, column;               // the sample after them
     double v, w;
     int start_occ;                 // cost of the pose all samples start from
-    double per_res;                // 1/m
 } sample_search;
-
-enum { SEARCH_SAMPLES = 4096 };
 
 typedef struct {
     const planner_settings *set;

@@ -1,17 +1,25 @@
 #include "wavefront.h"
 
 #include <string.h>
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
 #include "wide.h"
 
 static inline uint64_t *word_of(uint64_t *bits, int x, int y) { return bits + (y + 1) * WAVE_WORDS + (x >> 6); }
 static inline uint64_t bit_of(int x) { return (uint64_t)1 << (x & 63); }
 
-// One bit for each of 8 bytes: below 253 or not. Carries stay within their byte.
-static inline uint64_t below_inscribed(uint64_t bytes) {
-    const uint64_t high = 0x8080808080808080u, low7 = bytes & ~high;
-    const uint64_t dear = (low7 + 0x0303030303030303u) & bytes & high;
-    return (((dear ^ high) >> 7) * 0x0102040810204080u) >> 56;
+// One bit for each of 16 costs: no obstacle.
+static inline uint64_t open_bits(const uint8_t *cost) {
+#ifdef __SSE2__
+    const __m128i dear = _mm_set1_epi8((char)COST_INSCRIBED), c = _mm_loadu_si128((const __m128i *)cost);
+    return ~(unsigned)_mm_movemask_epi8(_mm_cmpeq_epi8(_mm_max_epu8(c, dear), c)) & 0xFFFF;
+#else
+    uint64_t bits = 0;
+    for (int i = 0; i < 16; ++i) bits |= (uint64_t)(cost[i] < COST_INSCRIBED) << i;
+    return bits;
+#endif
 }
 
 void wavefront_open_cells(const grid_frame *frame, const uint8_t *cost, wave_bits open) {
@@ -21,12 +29,12 @@ void wavefront_open_cells(const grid_frame *frame, const uint8_t *cost, wave_bit
         const uint8_t *row = cost + y * w;
         uint64_t *to = open + (y + 1) * WAVE_WORDS;
         int x = 0;
-        for (; x + 8 <= w; x += 8) {
-            uint64_t bytes;
-            memcpy(&bytes, row + x, 8);
-            to[x >> 6] |= below_inscribed(bytes) << (x & 63);
-        }
-        for (; x < w; ++x) to[x >> 6] |= (uint64_t)(row[x] < COST_INSCRIBED) << (x & 63);
+        for (; x + 16 <= w; x += 16) to[x >> 6] |= open_bits(row + x) << (x & 63);
+        if (x == w) continue;
+        uint8_t rest[16];
+        memset(rest, COST_UNKNOWN, sizeof rest);
+        memcpy(rest, row + x, (size_t)(w - x));
+        to[x >> 6] |= open_bits(rest) << (x & 63);
     }
 }
 
@@ -116,6 +124,10 @@ int wavefront_grow_until(wavefront *m, int x, int y) {
     const uint16_t *d = m->dist + y * WAVE_STRIDE + x;
     while (*d == WAVE_UNKNOWN && !m->exhausted) grow(m);
     return *d;
+}
+
+void wavefront_grow_to(wavefront *m, int level) {
+    while (m->level < level && !m->exhausted) grow(m);
 }
 
 int wavefront_ros_value(wavefront *m, int x, int y) {

@@ -37,6 +37,7 @@ void wavefront_target(wavefront *m, int x, int y);   // also on an obstacle
 void wavefront_start(wavefront *m);                  // after the last of them
 // Until the cell's distance is known, or everything's: at least WAVE_LIMIT when it cannot be reached.
 int wavefront_grow_until(wavefront *m, int x, int y);
+void wavefront_grow_to(wavefront *m, int level);     // all distances up to `level`
 
 // Whether the cell is no obstacle to the wave. Neighbours that are not are all reached, or none is.
 static inline bool wavefront_open(const wavefront *m, int x, int y) {
