@@ -173,7 +173,7 @@ const rollout *rollout_best(rollout_planner *p, const double *plan_x, const doub
         const grid_box ends = search_start(p, &m, &k, !p->escaping);
         lay_out_waves(p, plan_x, plan_y, n, &m, &ends);
         search_best(p, &m, &k, !p->escaping, c.best);
-        if (c.best->cost >= 0) simulate_again(p, m, c.best->v, c.best->w, c.best);
+        if (c.best->cost >= 0) simulate_poses(p, m, c.best->v, c.best->w, c.best);
     }
 
     if (c.best->cost >= 0) {

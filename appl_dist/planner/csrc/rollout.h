@@ -27,7 +27,8 @@ enum { SEARCH_BLOCKS = 256, TURN_BLOCKS = (SAMPLES_MAX + 15) / 16 };
 typedef struct {
     struct sample_block *blocks;   // (SEARCH_BLOCKS) forward samples
     struct sample_block *turns;    // (TURN_BLOCKS) in place
-    double *lowest;                // (SEARCH_BLOCKS) bounds of the blocks
+    double *lowest;                // (SEARCH_BLOCKS) bounds of the blocks; the last group of them is filled up
+    int groups;
     int used;                      // samples in the blocks
     int row, column;               // the sample after them
     double v, w;

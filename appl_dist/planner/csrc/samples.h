@@ -5,7 +5,7 @@
 enum { SAMPLE_LANES = 16 };
 
 // What a sample waits for: nothing, being stepped through, its waves' distances, a look at its points.
-typedef enum { SCORED, TO_STEP, TO_PATH, TO_GOAL, TO_LOOK } sample_stage;
+typedef enum { SCORED, TO_STEP, TO_WAVES, TO_LOOK } sample_stage;
 
 typedef struct sample_block {
     double v[SAMPLE_LANES], w[SAMPLE_LANES];

@@ -1,27 +1,43 @@
 #include "search.h"
 
 #include "turns.h"
+#include "wide.h"
 
 enum { SURE_PATH_LEVEL = 8 };  // so near the plan most winners end
 
-// Sets a sample's bound and its block's.
-static void set_bound(sample_search *s, int at, double bound) {
-    const double *b = s->blocks[at / SAMPLE_LANES].bound;
-    s->blocks[at / SAMPLE_LANES].bound[at % SAMPLE_LANES] = bound;
-    double low[4] = {b[0], b[1], b[2], b[3]};
-    for (int i = 4; i < SAMPLE_LANES; i += 4)
-        for (int k = 0; k < 4; ++k) low[k] = b[i + k] < low[k] ? b[i + k] : low[k];
+// The lowest of some bounds, whole vectors of them.
+ALWAYS_INLINE double lowest_of(const double *bound, int count) {
+    double low[4] = {INFINITY, INFINITY, INFINITY, INFINITY};
+    for (int i = 0; i < count; i += 4)
+        for (int k = 0; k < 4; ++k) low[k] = bound[i + k] < low[k] ? bound[i + k] : low[k];
     const double one = low[0] < low[1] ? low[0] : low[1], two = low[2] < low[3] ? low[2] : low[3];
-    s->lowest[at / SAMPLE_LANES] = one < two ? one : two;
+    return one < two ? one : two;
+}
+
+// Place of the first that is `value`; it is there. Not a loop that ends where it is: that place cannot be predicted.
+ALWAYS_INLINE int first_equal(const double *bound, double value) {
+    for (int from = 0;; from += SAMPLE_LANES) {
+        int64_t first = SAMPLE_LANES;
+        for (int64_t i = 0; i < SAMPLE_LANES; ++i) {
+            const int64_t here = bound[from + i] <= value ? i : SAMPLE_LANES;
+            first = here < first ? here : first;
+        }
+        if (first < SAMPLE_LANES) return from + (int)first;
+    }
+}
+
+// Sets a sample's bound and its block's.
+WIDE static void set_bound(sample_search *s, int at, double bound) {
+    sample_block *b = &s->blocks[at / SAMPLE_LANES];
+    b->bound[at % SAMPLE_LANES] = bound;
+    s->lowest[at / SAMPLE_LANES] = lowest_of(b->bound, SAMPLE_LANES);
 }
 
 // The first sample in ROS's order with the lowest bound; there is at least one.
-static int first_lowest(const sample_search *s) {
-    const int blocks = (s->used + SAMPLE_LANES - 1) / SAMPLE_LANES;
-    int at = 0, lane = 0;
-    for (int i = 1; i < blocks; ++i) at = s->lowest[i] < s->lowest[at] ? i : at;
-    while (s->blocks[at].bound[lane] != s->lowest[at]) ++lane;
-    return at * SAMPLE_LANES + lane;
+WIDE static int first_lowest(const sample_search *s) {
+    const double lowest = lowest_of(s->lowest, s->groups * SAMPLE_LANES);
+    const int at = first_equal(s->lowest, lowest);
+    return at * SAMPLE_LANES + first_equal(s->blocks[at].bound, lowest);
 }
 
 // The cost of the pose all samples start from; negative when it is not legal, so none of them is.
@@ -41,6 +57,7 @@ static double wave_bound(const rollout_planner *p, sample_block *b, int i) {
     b->goal[i] = wavefront_at_least(&p->goal, x, y);
     if (b->path[i] >= WAVE_LIMIT || b->goal[i] >= WAVE_LIMIT) return INFINITY;
     b->goal[i] = straight > b->goal[i] ? straight : b->goal[i];
+    if (wavefront_known(&p->path, x, y) && wavefront_known(&p->goal, x, y)) b->stage[i] = TO_LOOK;
     return total_cost(p, b->path[i], b->goal[i], b->occ[i]);
 }
 
@@ -48,7 +65,7 @@ static double first_bound(const rollout_planner *p, sample_block *b, int i) {
     b->occ[i] = p->search.start_occ;
     look_start(b, i);
     if (b->known[i] == 0) return INFINITY;
-    b->stage[i] = b->known[i] == 1 ? TO_PATH : TO_STEP;
+    b->stage[i] = b->known[i] == 1 ? TO_WAVES : TO_STEP;
     if (b->known[i] == 1) return wave_bound(p, b, i);
     if (b->known[i] == SAMPLE_ASTRAY) return 0;
     // In this cell or one beside it: at most one column and one row nearer.
@@ -68,25 +85,22 @@ static void first_bounds(rollout_planner *p) {
         if (b->known[i] == 1 && straight < nearest) nearest = straight;
     }
     if (nearest < WAVE_LIMIT) wavefront_grow_to(&p->goal, nearest), wavefront_grow_to(&p->path, SURE_PATH_LEVEL);
+    s->groups = (blocks + SAMPLE_LANES - 1) / SAMPLE_LANES;
+    for (int k = blocks; k < s->groups * SAMPLE_LANES; ++k) s->lowest[k] = INFINITY;
     for (int k = 0; k < blocks; ++k) {
         sample_block *b = &s->blocks[k];
-        s->lowest[k] = INFINITY;
-        for (int i = 0; i < SAMPLE_LANES; ++i) {
+        for (int i = 0; i < SAMPLE_LANES; ++i)
             b->bound[i] = k * SAMPLE_LANES + i < s->used ? first_bound(p, b, i) : INFINITY;
-            s->lowest[k] = b->bound[i] < s->lowest[k] ? b->bound[i] : s->lowest[k];
-        }
+        s->lowest[k] = lowest_of(b->bound, SAMPLE_LANES);
     }
 }
 
-// A bound of the sample as sharp as the waves allow without growing, or else sharper by one stage.
+// A bound of the sample as sharp as the waves allow without growing, or else with one of them grown to its last point.
 static double sharpen_waves(rollout_planner *p, sample_block *b, int i) {
     const double now = b->bound[i], sharper = wave_bound(p, b, i);
-    if (sharper > now) return sharper;
-    if (b->stage[i] == TO_PATH) b->path[i] = wavefront_distance(&p->path, b->cx[i], b->cy[i]);
-    else b->goal[i] = wavefront_distance(&p->goal, b->cx[i], b->cy[i]);
-    if (b->path[i] >= WAVE_LIMIT || b->goal[i] >= WAVE_LIMIT) return INFINITY;
-    b->stage[i] += 1;
-    return total_cost(p, b->path[i], b->goal[i], b->occ[i]);
+    if (sharper > now || b->stage[i] == TO_LOOK) return sharper;
+    wavefront_distance(wavefront_known(&p->path, b->cx[i], b->cy[i]) ? &p->goal : &p->path, b->cx[i], b->cy[i]);
+    return wave_bound(p, b, i);
 }
 
 // Looks at the sample for as long as no other has a lower bound.
@@ -115,8 +129,7 @@ static void settle(rollout_planner *p, const motion *m, rollout *best) {
         double sharper = INFINITY;
         switch ((sample_stage)b->stage[i]) {
             case SCORED: best->v = b->v[i], best->w = b->w[i], best->cost = bound; return;
-            case TO_PATH:
-            case TO_GOAL: sharper = sharpen_waves(p, b, i); break;
+            case TO_WAVES: sharper = sharpen_waves(p, b, i); break;
             case TO_LOOK: sharper = sharpen_look(p, m, b, i, at); break;
             case TO_STEP:
                 sharper = step_through(p, m, b->v[i], b->w[i], &p->probe);

@@ -29,6 +29,9 @@ void wavefront_open_cells(const grid_frame *frame, const uint8_t *cost, wave_bit
         const uint8_t *row = cost + y * w;
         uint64_t *to = open + (y + 1) * WAVE_WORDS;
         int x = 0;
+        for (; x + 64 <= w; x += 64)
+            to[x >> 6] = open_bits(row + x) | open_bits(row + x + 16) << 16 | open_bits(row + x + 32) << 32 |
+                         open_bits(row + x + 48) << 48;
         for (; x + 16 <= w; x += 16) to[x >> 6] |= open_bits(row + x) << (x & 63);
         if (x == w) continue;
         uint8_t rest[16];
@@ -42,6 +45,7 @@ void wavefront_reset(wavefront *m, const grid_frame *frame, const wave_bits open
     m->w = frame->w, m->h = frame->h;
     m->box = *box;
     memcpy(m->open, open, sizeof m->open);
+    m->box_level = WAVE_LIMIT;
     memset(m->target, 0, sizeof m->target);
 }
 
@@ -50,10 +54,15 @@ void wavefront_unblock(wavefront *m, int x, int y) { *word_of(m->open, x, y) |= 
 void wavefront_target(wavefront *m, int x, int y) {
     *word_of(m->open, x, y) |= bit_of(x);
     *word_of(m->target, x, y) |= bit_of(x);
+    const int left = m->box.x0 - x, right = x - m->box.x1, below = m->box.y0 - y, above = y - m->box.y1;
+    const int columns = left > right ? left : right, rows = below > above ? below : above;
+    const int to_box = (columns > 0 ? columns : 0) + (rows > 0 ? rows : 0);
+    m->box_level = to_box < m->box_level ? to_box : m->box_level;
 }
 
 // Writes down the distance of the front's cells in the box.
 static void note_front(wavefront *m) {
+    if (m->level < m->box_level) return;
     const uint64_t *front = m->front[m->level & 1];
     const grid_box *b = &m->box;
     const int from = b->y0 > m->first - 1 ? b->y0 : m->first - 1, to = b->y1 < m->last - 1 ? b->y1 : m->last - 1;
@@ -119,6 +128,7 @@ static void grow(wavefront *m) {
 int wavefront_grow_until(wavefront *m, int x, int y) {
     if (!wavefront_noted(m, x, y)) {  // once more, noting everything
         m->box = (grid_box){0, 0, m->w - 1, m->h - 1};
+        m->box_level = 0;
         wavefront_start(m);
     }
     const uint16_t *d = m->dist + y * WAVE_STRIDE + x;

@@ -18,6 +18,7 @@ typedef uint64_t wave_bits[WAVE_ROWS * WAVE_WORDS];
 typedef struct {
     int w, h;          // cells
     grid_box box;      // where distances are written down
+    int box_level;     // no cell of it is nearer to a target
     wave_bits open;    // no obstacle
     wave_bits target;
     wave_bits unseen;  // open and not reached
@@ -48,11 +49,14 @@ static inline bool wavefront_noted(const wavefront *m, int x, int y) {
     return x >= m->box.x0 && x <= m->box.x1 && y >= m->box.y0 && y <= m->box.y1;
 }
 
+static inline bool wavefront_known(const wavefront *m, int x, int y) {
+    return wavefront_noted(m, x, y) && m->dist[y * WAVE_STRIDE + x] != WAVE_UNKNOWN;
+}
+
 // Distance of a cell, or at least WAVE_LIMIT when it cannot be reached or is an obstacle.
 static inline int wavefront_distance(wavefront *m, int x, int y) {
     if (!wavefront_open(m, x, y)) return WAVE_LIMIT;
-    if (wavefront_noted(m, x, y) && m->dist[y * WAVE_STRIDE + x] != WAVE_UNKNOWN) return m->dist[y * WAVE_STRIDE + x];
-    return wavefront_grow_until(m, x, y);
+    return wavefront_known(m, x, y) ? m->dist[y * WAVE_STRIDE + x] : wavefront_grow_until(m, x, y);
 }
 
 // At most the distance of a cell, without growing anything.
