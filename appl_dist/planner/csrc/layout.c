@@ -76,7 +76,8 @@ static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int 
     p->lines.cells = GRAB(a, int16_t, (2 * reach + 1) * (2 * reach + 1) * (reach + 1));
     p->search.blocks = GRAB(a, sample_block, SEARCH_BLOCKS);
     p->search.turns = GRAB(a, sample_block, TURN_BLOCKS);
-    p->search.lowest = GRAB(a, double, SEARCH_BLOCKS);
+    for (int k = 0, entries = LOWEST_MAX; k < LOWEST_DEPTH_MAX; ++k, entries /= LOWEST_FAN)
+        p->search.bounds.level[k] = GRAB(a, double, entries);
     rollout *scratch[3] = {&p->one, &p->two, &p->probe};
     for (int i = 0; i < 3; ++i) {
         scratch[i]->x = GRAB(a, double, p->steps_max);

@@ -2,6 +2,7 @@
 // dwa: true, heading_scoring, simple_attractor and holonomic_robot: false.
 #pragma once
 #include "footprint.h"
+#include "lowest.h"
 #include "settings.h"
 #include "wavefront.h"
 
@@ -21,14 +22,13 @@ typedef struct {
     int capacity, count;
 } rollout_trace;
 
-enum { SEARCH_BLOCKS = 256, TURN_BLOCKS = (SAMPLES_MAX + 15) / 16 };
+enum { SEARCH_BLOCKS = LOWEST_MAX / 16, TURN_BLOCKS = (SAMPLES_MAX + 15) / 16 };
 
 // Scratch of search.c.
 typedef struct {
     struct sample_block *blocks;   // (SEARCH_BLOCKS) forward samples
     struct sample_block *turns;    // (TURN_BLOCKS) in place
-    double *lowest;                // (SEARCH_BLOCKS) bounds of the blocks; the last group of them is filled up
-    int groups;
+    lowest_tree bounds;            // of the samples' costs, from below
     int used;                      // samples in the blocks
     int row, column;               // the sample after them
     double v, w;

@@ -16,7 +16,7 @@ typedef struct sample_block {
     // Cell of the last point, and whether it is: arc_cell's answer, SAMPLE_ASTRAY where the arc is not to be trusted.
     int32_t cx[SAMPLE_LANES], cy[SAMPLE_LANES], known[SAMPLE_LANES];
     // Scratch of the search.
-    double bound[SAMPLE_LANES];  // of the cost from below; the cost itself once SCORED; INFINITY: not legal
+    double bound[SAMPLE_LANES];  // of the cost from below, while it is looked at
     int32_t path[SAMPLE_LANES], goal[SAMPLE_LANES];  // cells from the last point, or at least
     int32_t occ[SAMPLE_LANES];   // highest cost met so far
     int32_t back[SAMPLE_LANES], gap[SAMPLE_LANES];  // next point to look at, counted from the last; between those seen

@@ -1,44 +1,8 @@
 #include "search.h"
 
 #include "turns.h"
-#include "wide.h"
 
 enum { SURE_PATH_LEVEL = 8 };  // so near the plan most winners end
-
-// The lowest of some bounds, whole vectors of them.
-ALWAYS_INLINE double lowest_of(const double *bound, int count) {
-    double low[4] = {INFINITY, INFINITY, INFINITY, INFINITY};
-    for (int i = 0; i < count; i += 4)
-        for (int k = 0; k < 4; ++k) low[k] = bound[i + k] < low[k] ? bound[i + k] : low[k];
-    const double one = low[0] < low[1] ? low[0] : low[1], two = low[2] < low[3] ? low[2] : low[3];
-    return one < two ? one : two;
-}
-
-// Place of the first that is `value`; it is there. Not a loop that ends where it is: that place cannot be predicted.
-ALWAYS_INLINE int first_equal(const double *bound, double value) {
-    for (int from = 0;; from += SAMPLE_LANES) {
-        int64_t first = SAMPLE_LANES;
-        for (int64_t i = 0; i < SAMPLE_LANES; ++i) {
-            const int64_t here = bound[from + i] <= value ? i : SAMPLE_LANES;
-            first = here < first ? here : first;
-        }
-        if (first < SAMPLE_LANES) return from + (int)first;
-    }
-}
-
-// Sets a sample's bound and its block's.
-WIDE static void set_bound(sample_search *s, int at, double bound) {
-    sample_block *b = &s->blocks[at / SAMPLE_LANES];
-    b->bound[at % SAMPLE_LANES] = bound;
-    s->lowest[at / SAMPLE_LANES] = lowest_of(b->bound, SAMPLE_LANES);
-}
-
-// The first sample in ROS's order with the lowest bound; there is at least one.
-WIDE static int first_lowest(const sample_search *s) {
-    const double lowest = lowest_of(s->lowest, s->groups * SAMPLE_LANES);
-    const int at = first_equal(s->lowest, lowest);
-    return at * SAMPLE_LANES + first_equal(s->blocks[at].bound, lowest);
-}
 
 // The cost of the pose all samples start from; negative when it is not legal, so none of them is.
 static int start_cost(rollout_planner *p, const motion *m) {
@@ -76,7 +40,6 @@ static double first_bound(const rollout_planner *p, sample_block *b, int i) {
 // Bounds of all samples. No winner is nearer to the goal than the nearest end is on a free map.
 static void first_bounds(rollout_planner *p) {
     sample_search *s = &p->search;
-    const int blocks = (s->used + SAMPLE_LANES - 1) / SAMPLE_LANES;
     int nearest = WAVE_LIMIT;
     for (int at = 0; at < s->used; ++at) {
         const sample_block *b = &s->blocks[at / SAMPLE_LANES];
@@ -85,19 +48,14 @@ static void first_bounds(rollout_planner *p) {
         if (b->known[i] == 1 && straight < nearest) nearest = straight;
     }
     if (nearest < WAVE_LIMIT) wavefront_grow_to(&p->goal, nearest), wavefront_grow_to(&p->path, SURE_PATH_LEVEL);
-    s->groups = (blocks + SAMPLE_LANES - 1) / SAMPLE_LANES;
-    for (int k = blocks; k < s->groups * SAMPLE_LANES; ++k) s->lowest[k] = INFINITY;
-    for (int k = 0; k < blocks; ++k) {
-        sample_block *b = &s->blocks[k];
-        for (int i = 0; i < SAMPLE_LANES; ++i)
-            b->bound[i] = k * SAMPLE_LANES + i < s->used ? first_bound(p, b, i) : INFINITY;
-        s->lowest[k] = lowest_of(b->bound, SAMPLE_LANES);
-    }
+    for (int at = 0; at < s->used; ++at)
+        s->bounds.level[0][at] = first_bound(p, &s->blocks[at / SAMPLE_LANES], at % SAMPLE_LANES);
+    lowest_build(&s->bounds, s->used);
 }
 
 // A bound of the sample as sharp as the waves allow without growing, or else with one of them grown to its last point.
-static double sharpen_waves(rollout_planner *p, sample_block *b, int i) {
-    const double now = b->bound[i], sharper = wave_bound(p, b, i);
+static double sharpen_waves(rollout_planner *p, sample_block *b, int i, double now) {
+    const double sharper = wave_bound(p, b, i);
     if (sharper > now || b->stage[i] == TO_LOOK) return sharper;
     wavefront_distance(wavefront_known(&p->path, b->cx[i], b->cy[i]) ? &p->goal : &p->path, b->cx[i], b->cy[i]);
     return wave_bound(p, b, i);
@@ -106,12 +64,10 @@ static double sharpen_waves(rollout_planner *p, sample_block *b, int i) {
 // Looks at the sample for as long as no other has a lower bound.
 static double sharpen_look(rollout_planner *p, const motion *m, sample_block *b, int i, int at) {
     sample_search *s = &p->search;
-    const double now = b->bound[i];
-    set_bound(s, at, INFINITY);
-    const int next = first_lowest(s);
-    const double enough = s->lowest[next / SAMPLE_LANES];
-    b->bound[i] = now;
-    const verdict found = look(p, m, b, i, enough, at > next);
+    b->bound[i] = s->bounds.level[0][at];
+    lowest_set(&s->bounds, at, INFINITY);
+    const int next = lowest_first(&s->bounds);
+    const verdict found = look(p, m, b, i, s->bounds.level[0][next], at > next);
     if (found == UNDECIDED) b->stage[i] = TO_STEP;
     if (found == DONE) b->stage[i] = SCORED;
     return found == ILLEGAL ? INFINITY : b->bound[i];
@@ -122,21 +78,21 @@ static void settle(rollout_planner *p, const motion *m, rollout *best) {
     sample_search *s = &p->search;
     first_bounds(p);
     for (;;) {
-        const int at = first_lowest(s), i = at % SAMPLE_LANES;
+        const int at = lowest_first(&s->bounds), i = at % SAMPLE_LANES;
         sample_block *b = &s->blocks[at / SAMPLE_LANES];
-        const double bound = b->bound[i];
+        const double bound = s->bounds.level[0][at];
         if (bound == INFINITY || (best->cost >= 0 && bound >= best->cost)) return;  // earlier samples win ties
         double sharper = INFINITY;
         switch ((sample_stage)b->stage[i]) {
             case SCORED: best->v = b->v[i], best->w = b->w[i], best->cost = bound; return;
-            case TO_WAVES: sharper = sharpen_waves(p, b, i); break;
+            case TO_WAVES: sharper = sharpen_waves(p, b, i, bound); break;
             case TO_LOOK: sharper = sharpen_look(p, m, b, i, at); break;
             case TO_STEP:
                 sharper = step_through(p, m, b->v[i], b->w[i], &p->probe);
                 if (sharper < 0) sharper = INFINITY;
                 b->stage[i] = SCORED;
         }
-        set_bound(s, at, sharper);
+        lowest_set(&s->bounds, at, sharper);
     }
 }
 
