@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "search.h"
+#include "samples.h"
 
 static int cells_of(double metres, double res) { return (int)(metres / res + 0.5); }
 
@@ -65,21 +65,19 @@ void *layout_grab(arena *a, size_t bytes) {
 
 #define GRAB(a, type, count) ((type *)layout_grab(a, sizeof(type) * (size_t)(count)))
 
-static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int w, int h, arena *a) {
+static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int h, arena *a) {
     const double fastest = fmax(VELOCITY_MAX, fabs(s->escape_vel));
     p->steps_max = 2 + (int)fmax(fastest * s->sim_time / s->sim_granularity,
                                  (double)VELOCITY_MAX / s->angular_sim_granularity);
     wavefront *waves[2] = {&p->path, &p->goal};
-    for (int i = 0; i < 2; ++i) {
-        waves[i]->dist = GRAB(a, uint16_t, (h + 2) * WAVE_STRIDE);
-        waves[i]->next_target = GRAB(a, int, (h + 2) * WAVE_STRIDE);
-        for (int b = 0; b < WAVE_BUCKETS; ++b) waves[i]->bucket[b] = GRAB(a, uint16_t, w * h + 1);
-    }
-    const int blocks = (w / SEARCH_BLOCK + 1) * (h / SEARCH_BLOCK + 1);
-    p->search.near_max = GRAB(a, uint8_t, blocks);
-    p->search.near_tmp = GRAB(a, uint8_t, blocks);
-    p->search.candidates = GRAB(a, candidate, SEARCH_SAMPLES);
-    p->search.heap = GRAB(a, int32_t, SEARCH_SAMPLES);
+    for (int i = 0; i < 2; ++i) waves[i]->dist = GRAB(a, uint16_t, h * WAVE_STRIDE);
+    const footprint_shape shape = footprint_make(s->half_length_m, s->half_width_m, s->footprint_padding);
+    const int reach = footprint_line_reach(&shape, s->resolution_m);
+    p->lines.cells = GRAB(a, int16_t, (2 * reach + 1) * (2 * reach + 1) * (reach + 1));
+    p->search.blocks = GRAB(a, sample_block, SEARCH_BLOCKS);
+    p->search.turns = GRAB(a, sample_block, TURN_BLOCKS);
+    for (int k = 0, entries = LOWEST_MAX; k < LOWEST_DEPTH_MAX; ++k, entries /= LOWEST_FAN)
+        p->search.bounds.level[k] = GRAB(a, double, entries);
     rollout *scratch[3] = {&p->one, &p->two, &p->probe};
     for (int i = 0; i < 3; ++i) {
         scratch[i]->x = GRAB(a, double, p->steps_max);
@@ -126,7 +124,7 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     n->seen.y = GRAB(a, float, s->beams);
     n->beam_cos = GRAB(a, double, s->beams);
     n->beam_sin = GRAB(a, double, s->beams);
-    lay_out_rollouts(&n->local_plan.rollouts, s, local, local, a);
+    lay_out_rollouts(&n->local_plan.rollouts, s, local, a);
 }
 
 size_t navigator_bytes(const planner_settings *set) {

@@ -14,6 +14,7 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
     rollout_planner *r = &n->local_plan.rollouts;
     r->set = &n->set;
     r->shape = n->shape;
+    footprint_lines_make(&r->lines, footprint_line_reach(&n->shape, set->resolution_m), n->local.frame.w);
     for (int i = 0; i < (int)set->beams; ++i) {
         const double angle = -set->angle_max_rad + i * (2 * set->angle_max_rad / ((int)set->beams - 1));
         n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);
@@ -143,7 +144,8 @@ static bool keep_turning(navigator *n, const double pose[3], double out[2]) {
         const double th = pose[2] + ahead;
         int cx, cy;
         if (!world_to_map(&n->local.frame, pose[0], pose[1], &cx, &cy)) return false;
-        if (footprint_outline_cost(&n->shape, &n->local.frame, n->local.master, pose[0], pose[1], cos(th), sin(th)) < 0)
+        if (footprint_outline_cost(&n->shape, &n->local_plan.rollouts.lines, &n->local.frame, n->local.master, pose[0],
+                                   pose[1], cos(th), sin(th)) < 0)
             return false;
     }
     out[1] = fmin(fmax(sqrt(2 * s->acc_lim_theta * left), s->min_in_place_vel_theta), s->rotate_max_vel_theta);
