@@ -89,8 +89,8 @@ static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int 
 static void lay_out_map(costmap *m, int cells, double res, bool rolling, arena *a) {
     m->frame = (grid_frame){cells, cells, res, 0, 0};
     m->rolling = rolling;
-    m->obstacles = GRAB(a, uint8_t, cells * cells);
-    m->master = GRAB(a, uint8_t, cells * cells);
+    m->obstacles = GRAB(a, uint8_t, cells * cells + LAYER_PADDING);
+    m->master = GRAB(a, uint8_t, cells * cells + LAYER_PADDING);
 }
 
 void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
@@ -100,8 +100,8 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     lay_out_map(&n->local, local, res, true, a);
     lay_out_map(&n->global, global, res, false, a);
     n->scratch.best = GRAB(a, uint8_t, largest * largest);
-    n->scratch.capacity = INFLATION_ENTRIES_PER_CELL * largest * largest;
-    n->scratch.entries = GRAB(a, inflation_entry, n->scratch.capacity);
+    n->scratch.lethal = GRAB(a, int32_t, largest * largest);
+    n->scratch.pages = GRAB(a, inflation_page, inflation_pages(largest * largest));
 
     navfn *plan = &n->plan;
     plan->w = plan->h = global;
@@ -122,6 +122,8 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     n->local_plan.plan.y = GRAB(a, double, plan->path_capacity + 1);
     n->seen.x = GRAB(a, float, s->beams);
     n->seen.y = GRAB(a, float, s->beams);
+    n->seen.marks = GRAB(a, int32_t, s->beams);
+    n->seen.lines = GRAB(a, fan_line, s->beams);
     n->beam_cos = GRAB(a, double, s->beams);
     n->beam_sin = GRAB(a, double, s->beams);
     lay_out_rollouts(&n->local_plan.rollouts, s, local, a);

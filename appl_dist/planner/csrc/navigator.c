@@ -20,6 +20,7 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
         n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);
     }
     n->plan.margin = fast ? NAVFN_MARGIN_FAST : NAVFN_MARGIN_EXACT;
+    n->local.inflate.stamps = n->global.inflate.stamps = fast;
     navfn_init(&n->plan);
     navigator_set_parameters(n, par);
     costmap_clear(&n->local, 0, 0);
