@@ -108,9 +108,10 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     plan->master = GRAB(a, uint8_t, global * global);
     plan->cost = GRAB(a, uint8_t, global * global);
     plan->potential = GRAB(a, float, global * global);
-    plan->closed = GRAB(a, uint8_t, global * global);
+    plan->step = GRAB(a, float, global * global);
+    plan->remain = GRAB(a, float, global * global);
     plan->reached = GRAB(a, int32_t, global * global + 1);
-    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER + 1);
+    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER + 4);
     plan->path_capacity = 4 * global;
     plan->path_x = GRAB(a, float, plan->path_capacity);
     plan->path_y = GRAB(a, float, plan->path_capacity);
