@@ -7,3 +7,5 @@
 #else
 #define WIDE
 #endif
+
+#define ALWAYS_INLINE static inline __attribute__((always_inline))
