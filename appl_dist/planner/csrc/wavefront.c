@@ -63,7 +63,7 @@ void wavefront_target(wavefront *m, int x, int y) {
 // Writes down the distance of the front's cells in the box.
 static void note_front(wavefront *m) {
     if (m->level < m->box_level) return;
-    const uint64_t *front = m->front[m->level & 1];
+    const uint64_t *front = m->front;
     const grid_box *b = &m->box;
     const int from = b->y0 > m->first - 1 ? b->y0 : m->first - 1, to = b->y1 < m->last - 1 ? b->y1 : m->last - 1;
     for (int k = b->x0 >> 6; k <= b->x1 >> 6; ++k) {
@@ -79,50 +79,53 @@ static void note_front(wavefront *m) {
 }
 
 void wavefront_start(wavefront *m) {
-    uint64_t any = 0;
     m->level = 0;
     m->first = WAVE_ROWS, m->last = -1;
-    memset(m->front, 0, sizeof m->front);
+    memcpy(m->reached, m->target, sizeof m->reached);
+    memcpy(m->front, m->target, sizeof m->front);
     for (int y = 1; y <= m->h; ++y) {
-        uint64_t row = 0;
-        for (int k = y * WAVE_WORDS; k < (y + 1) * WAVE_WORDS; ++k) {
-            row |= m->front[0][k] = m->target[k];
-            m->unseen[k] = m->open[k] & ~m->target[k];
-        }
-        if (!row) continue;
+        const uint64_t *row = m->target + y * WAVE_WORDS;
+        if (!(row[0] | row[1] | row[2] | row[3])) continue;
         if (y < m->first) m->first = y;
         m->last = y;
-        any |= row;
     }
-    m->exhausted = !any;
+    m->exhausted = m->last < 0;
     for (int y = m->box.y0; y <= m->box.y1; ++y)
         memset(m->dist + y * WAVE_STRIDE + m->box.x0, 0xFF, sizeof *m->dist * (size_t)(m->box.x1 - m->box.x0 + 1));
     note_front(m);
 }
 
-// The words [from, to) of the next front: unseen neighbours of this one. The bits that a shift carries over a row's end
-// fall on cells that are not open.
-WIDE static uint64_t step(const uint64_t *restrict front, uint64_t *restrict unseen, uint64_t *restrict next, int from,
-                          int to) {
-    uint64_t any = 0;
-    for (int k = from; k < to; ++k) {
-        const uint64_t beside = front[k] << 1 | front[k - 1] >> 63 | front[k] >> 1 | front[k + 1] << 63;
-        const uint64_t found = (beside | front[k - WAVE_WORDS] | front[k + WAVE_WORDS]) & unseen[k];
-        next[k] = found;
-        unseen[k] &= ~found;
+typedef uint64_t row_bits __attribute__((vector_size(8 * WAVE_WORDS)));
+
+// One level in the padded rows [first, last]: the front is what is open beside a reached cell and was not reached. A row
+// is overwritten when the rows beside it have been read. Whether there is a front.
+WIDE static bool step(const uint64_t *restrict open, uint64_t *restrict reached, uint64_t *restrict front, int first,
+                      int last) {
+    const row_bits none = {0};
+    row_bits below, row, above, free, any = none;
+    memcpy(&below, reached + (first - 1) * WAVE_WORDS, sizeof below);
+    memcpy(&row, reached + first * WAVE_WORDS, sizeof row);
+    for (int k = first * WAVE_WORDS; k <= last * WAVE_WORDS; k += WAVE_WORDS) {
+        memcpy(&above, reached + k + WAVE_WORDS, sizeof above);
+        memcpy(&free, open + k, sizeof free);
+        const row_bits high = row >> 63, low = row << 63;
+        const row_bits beside = row << 1 | __builtin_shufflevector(high, none, 4, 0, 1, 2) | row >> 1 |
+                                __builtin_shufflevector(low, none, 1, 2, 3, 4);
+        const row_bits found = (below | above | beside) & free & ~row, all = row | found;
+        memcpy(front + k, &found, sizeof found);
+        memcpy(reached + k, &all, sizeof all);
         any |= found;
+        below = row, row = above;
     }
-    return any;
+    return (any[0] | any[1] | any[2] | any[3]) != 0;
 }
 
 static void grow(wavefront *m) {
     m->first -= m->first > 1;
     m->last += m->last < m->h;
-    const uint64_t found = step(m->front[m->level & 1], m->unseen, m->front[(m->level + 1) & 1], m->first * WAVE_WORDS,
-                                (m->last + 1) * WAVE_WORDS);
+    m->exhausted = !step(m->open, m->reached, m->front, m->first, m->last);
     m->level += 1;
-    if (found) note_front(m);
-    else m->exhausted = true;
+    if (!m->exhausted) note_front(m);
 }
 
 int wavefront_grow_until(wavefront *m, int x, int y) {

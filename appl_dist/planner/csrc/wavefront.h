@@ -21,9 +21,9 @@ typedef struct {
     int box_level;     // no cell of it is nearer to a target
     wave_bits open;    // no obstacle
     wave_bits target;
-    wave_bits unseen;  // open and not reached
-    wave_bits front[2];  // front[level & 1]: cells at distance `level`
-    int first, last;   // padded rows the front can be in
+    wave_bits reached;
+    wave_bits front;   // reached at `level`; valid in the rows it can be in
+    int first, last;   // padded rows that can be reached
     int level;         // cells of this distance and less are found
     bool exhausted;    // nothing is left to reach
     uint16_t *dist;    // (h, WAVE_STRIDE) in the box, once found
