@@ -40,12 +40,13 @@ static void build_kernel(inflation *f) {
     for (int dy = -far; dy <= far; ++dy)
         for (int dx = -far; dx <= far; ++dx) {
             const int column = abs(dx), row = abs(dy);
+            const uint8_t aside = bin_of[row][column + 1], along = bin_of[row + 1][column];
+            const uint8_t to[4] = {dx <= 0 ? aside : 255, dy <= 0 ? along : 255, dx >= 0 ? aside : 255,
+                                   dy >= 0 ? along : 255};
             inflation_moves *m = &f->moves[offset_of(dx, dy)];
-            // Never back towards the obstacle: that cell would lie in an earlier bin.
-            m->left = dx <= 0 ? bin_of[row][column + 1] : 255;
-            m->up = dy <= 0 ? bin_of[row + 1][column] : 255;
-            m->right = dx >= 0 ? bin_of[row][column + 1] : 255;
-            m->down = dy >= 0 ? bin_of[row + 1][column] : 255;
+            *m = (inflation_moves){.bin = {255, 255, 255, 255}};
+            for (uint8_t side = 0; side < 4; ++side)
+                if (to[side] < 255) m->bin[m->count] = to[side], m->side[m->count++] = side;
         }
 }
 
@@ -121,6 +122,7 @@ static inline void offer(brushfire *b, uint8_t bin, int cell, int offset) {
 
 // `inside`: the fire stays clear of the map's edges.
 static inline void burn(const inflation *f, brushfire *b, uint8_t *map, int w, int h, bool inside) {
+    const int step[4] = {-1, -w, 1, w}, turn[4] = {-1, -INFLATION_SIDE, 1, INFLATION_SIDE};
     for (int bin = 0; bin < f->bins; ++bin) {
         const uint8_t cost = f->cost_of_bin[bin];
         for (const inflation_page *page = b->first[bin]; page; page = page->next) {
@@ -130,23 +132,18 @@ static inline void burn(const inflation *f, brushfire *b, uint8_t *map, int w, i
                 if (b->best[cell] != bin) continue;
                 const uint8_t was = map[cell];
                 map[cell] = (was == COST_UNKNOWN ? cost >= COST_INSCRIBED : was < cost) ? cost : was;
-                inflation_moves to = f->moves[offset];
+                const inflation_moves *to = &f->moves[offset];
                 if (!inside) {
                     const int y = cell / w, x = cell - y * w;
-                    if (x == 0) to.left = 255;
-                    if (y == 0) to.up = 255;
-                    if (x == w - 1) to.right = 255;
-                    if (y == h - 1) to.down = 255;
-                    if (to.left < 255) offer(b, to.left, cell - 1, offset - 1);
-                    if (to.up < 255) offer(b, to.up, cell - w, offset - INFLATION_SIDE);
-                    if (to.right < 255) offer(b, to.right, cell + 1, offset + 1);
-                    if (to.down < 255) offer(b, to.down, cell + w, offset + INFLATION_SIDE);
+                    const bool open[4] = {x > 0, y > 0, x < w - 1, y < h - 1};
+                    for (int k = 0; k < to->count; ++k)
+                        if (open[to->side[k]]) offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
                     continue;
                 }
-                offer(b, to.left, cell - 1, offset - 1);
-                offer(b, to.up, cell - w, offset - INFLATION_SIDE);
-                offer(b, to.right, cell + 1, offset + 1);
-                offer(b, to.down, cell + w, offset + INFLATION_SIDE);
+                if (to->count == 0) continue;
+                for (int k = 0; k < 2; ++k) offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
+                for (int k = 2; k < to->count; ++k)
+                    offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
             }
         }
     }

@@ -21,9 +21,11 @@ typedef struct inflation_page {
     struct inflation_page *next;
 } inflation_page;
 
-// Where the fire goes from an offset: the bin a neighbour would be in, 255 where it may not go.
+// Where the fire goes from an offset, in the order left, up, right, down: never back towards the obstacle, as that cell
+// would lie in an earlier bin, and never beyond the reach. Bin 255 goes nowhere.
 typedef struct {
-    uint8_t left, up, right, down;
+    uint8_t count;
+    uint8_t bin[4], side[4];
 } inflation_moves;
 
 // Shared by the maps of one planner; sized for the largest.

@@ -121,9 +121,9 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     n->local_plan.plan.capacity = plan->path_capacity + 1;
     n->local_plan.plan.x = GRAB(a, double, plan->path_capacity + 1);
     n->local_plan.plan.y = GRAB(a, double, plan->path_capacity + 1);
-    n->seen.x = GRAB(a, float, s->beams);
-    n->seen.y = GRAB(a, float, s->beams);
-    n->seen.marks = GRAB(a, int32_t, s->beams);
+    n->seen.x = GRAB(a, float, s->beams + OBSERVATION_PADDING);
+    n->seen.y = GRAB(a, float, s->beams + OBSERVATION_PADDING);
+    n->seen.marks = GRAB(a, int32_t, s->beams + 1);
     n->seen.lines = GRAB(a, fan_line, s->beams);
     n->beam_cos = GRAB(a, double, s->beams);
     n->beam_sin = GRAB(a, double, s->beams);

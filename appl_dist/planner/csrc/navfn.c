@@ -37,8 +37,14 @@ void navfn_sync(navfn *n, const uint8_t *master, grid_window k) {
     for (int y = k.y0 > 1 ? k.y0 : 1; y < k.yn && y < n->h - 1; ++y)
         for (int x = x0; x < xn; x += RUN) {
             const int first = y * n->w + x, count = xn - x < RUN ? xn - x : RUN;
-            if (memcmp(n->master + first, master + first, (size_t)count) == 0) continue;
+            if (count == RUN) {
+                uint64_t was[RUN / 8], is[RUN / 8];
+                memcpy(was, n->master + first, RUN);
+                memcpy(is, master + first, RUN);
+                if (!((was[0] ^ is[0]) | (was[1] ^ is[1]) | (was[2] ^ is[2]) | (was[3] ^ is[3]))) continue;
+            }
             for (int i = first; i < first + count; ++i) {
+                if (n->master[i] == master[i]) continue;
                 n->master[i] = master[i];
                 const uint8_t c = n->cost_of[master[i]];
                 if (n->cost[i] == c) continue;

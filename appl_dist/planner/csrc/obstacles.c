@@ -2,11 +2,11 @@
 
 #include <string.h>
 
-enum { CHUNK = 64 };  // beams worked on together
+enum { CHUNK = OBSERVATION_PADDING, LANES = 8 };  // beams worked on together
 
 // A beam that leaves the map: cut at its edges, as ObstacleLayer::raytraceFreespace does. False where nothing is left.
 static bool cut_at_edges(const grid_frame *g, const observation *seen, double end_x, double end_y, double *x,
-                         double *y) {
+                         double *y, int *cx, int *cy) {
     double wx = *x, wy = *y;
     const double a = wx - seen->ox, c = wy - seen->oy;
     if (wx < g->ox) {
@@ -26,100 +26,145 @@ static bool cut_at_edges(const grid_frame *g, const observation *seen, double en
         wy = end_y - .001;
     }
     *x = wx, *y = wy;
-    int mx, my;
-    return world_to_map(g, wx, wy, &mx, &my);
+    return world_to_map(g, wx, wy, cx, cy);
 }
 
+// Beams CHUNK at a time, the last chunk filled up with beams that end nowhere.
 typedef struct {
-    double x[CHUNK], y[CHUNK];      // m, where the beams end on the map
-    double tx[CHUNK], ty[CHUNK];    // m, how far they free: to a micrometre where beyond the range
-    int32_t cx[CHUNK], cy[CHUNK];   // cells of (x, y), -1 off the map
+    double x[CHUNK], y[CHUNK];   // m, where the beams end on the map
+    double square[CHUNK];        // m^2 from the sensor
+    double cx[CHUNK], cy[CHUNK]; // cells, not rounded; -1 off the map
 } beams;
 
 static void find_cells(const grid_frame *g, const observation *seen, int from, int count, beams *p) {
     const double end_x = g->ox + g->w * g->res, end_y = g->oy + g->h * g->res;
-    const double ox = g->ox, oy = g->oy, res = g->res, w = g->w, h = g->h;
-    int leave = 0;
-    for (int i = 0; i < count; ++i) {
-        const double x = seen->x[from + i], y = seen->y[from + i];
+    const double ox = g->ox, oy = g->oy, res = g->res, w = g->w, h = g->h, sx = seen->ox, sy = seen->oy;
+    const float *xs = seen->x + from, *ys = seen->y + from;
+    int outside = 0;
+    for (int i = 0; i < CHUNK; ++i) {
+        const double x = xs[i], y = ys[i], fx = (x - ox) / res, fy = (y - oy) / res;
         p->x[i] = x, p->y[i] = y;
-        leave += (x < ox) | (y < oy) | (x > end_x) | (y > end_y);
+        p->square[i] = (x - sx) * (x - sx) + (y - sy) * (y - sy);
+        const bool inside = (x >= ox) & (y >= oy) & (fx < w) & (fy < h) & (x <= end_x) & (y <= end_y);
+        p->cx[i] = inside ? fx : -1.0;
+        p->cy[i] = inside ? fy : -1.0;
     }
-    if (leave)
-        for (int i = 0; i < count; ++i)
-            if (p->x[i] < ox || p->y[i] < oy || p->x[i] > end_x || p->y[i] > end_y)
-                if (!cut_at_edges(g, seen, end_x, end_y, &p->x[i], &p->y[i])) p->x[i] = p->y[i] = NAN;
-    for (int i = 0; i < count; ++i) {
-        const double fx = (p->x[i] - ox) / res, fy = (p->y[i] - oy) / res;
-        const int inside = (p->x[i] >= ox) & (p->y[i] >= oy) & (fx < w) & (fy < h);
-        p->cx[i] = (int32_t)(inside ? fx : -1.0);
-        p->cy[i] = (int32_t)(inside ? fy : -1.0);
+    for (int i = count; i < CHUNK; ++i) p->cx[i] = p->cy[i] = -1.0, p->square[i] = INFINITY;
+    for (int i = 0; i < count; ++i) outside |= p->cx[i] < 0;
+    if (!outside) return;
+    for (int i = 0; i < count; ++i)
+        if (p->x[i] < ox || p->y[i] < oy || p->x[i] > end_x || p->y[i] > end_y) {
+            int cx, cy;
+            if (!cut_at_edges(g, seen, end_x, end_y, &p->x[i], &p->y[i], &cx, &cy)) continue;
+            p->cx[i] = cx, p->cy[i] = cy;
+            p->square[i] = (p->x[i] - sx) * (p->x[i] - sx) + (p->y[i] - sy) * (p->y[i] - sy);
+        }
+}
+
+typedef struct {
+    double low[LANES], high[LANES];
+} extremes;
+
+// Widens [low, high] by start + (v - start) of the beams no farther than `reach` (a square, m^2).
+static void widen(const double *v, const double *cell, const double *square, double reach, double start, bool offset,
+                  double *low, double *high) {
+    extremes e;
+    for (int k = 0; k < LANES; ++k) e.low[k] = *low, e.high[k] = *high;
+    for (int i = 0; i < CHUNK; i += LANES)
+        for (int k = 0; k < LANES; ++k) {
+            const bool counts = (cell[i + k] >= 0) & (square[i + k] < reach);
+            const double at = offset ? start + (v[i + k] - start) : v[i + k];
+            const double a = counts ? at : e.low[k], b = counts ? at : e.high[k];
+            e.low[k] = a < e.low[k] ? a : e.low[k];
+            e.high[k] = b > e.high[k] ? b : e.high[k];
+        }
+    for (int k = 0; k < LANES; ++k) {
+        *low = e.low[k] < *low ? e.low[k] : *low;
+        *high = e.high[k] > *high ? e.high[k] : *high;
     }
 }
 
-static const bounds NOWHERE = {INFINITY, INFINITY, -INFINITY, -INFINITY};
-
 // Widens `b` by how far the beams free. Only the extremes of those beyond the range are worth a hypot.
-static void touch_beams(const observation *seen, double range, int count, beams *p, bounds *b) {
+static void touch_beams(const observation *seen, double range, int count, const beams *p, bounds *b) {
     const double sx = seen->ox, sy = seen->oy, far = 0.999 * range * range, close = 1e-6;
-    bounds distant = NOWHERE;
+    widen(p->x, p->cx, p->square, far, sx, true, &b->min_x, &b->max_x);
+    widen(p->y, p->cx, p->square, far, sy, true, &b->min_y, &b->max_y);
+    // None of them gets farther than the range.
+    if (b->min_x < sx - range - close && b->max_x > sx + range + close && b->min_y < sy - range - close &&
+        b->max_y > sy + range + close)
+        return;
+    bounds distant = {INFINITY, INFINITY, -INFINITY, -INFINITY};
+    double tx[CHUNK], ty[CHUNK];
+    int beyond[CHUNK], beyond_count = 0;
     for (int i = 0; i < count; ++i) {
-        const double dx = p->x[i] - sx, dy = p->y[i] - sy, square = dx * dx + dy * dy;
-        if (p->cx[i] < 0) continue;
-        if (square >= far) {
-            const double scale = fmin(1.0, range / sqrt(square));
-            p->tx[i] = sx + dx * scale, p->ty[i] = sy + dy * scale;
-            bounds_touch(&distant, p->tx[i], p->ty[i]);
-        } else {
-            p->tx[i] = sx + dx, p->ty[i] = sy + dy;
-            bounds_touch(b, p->tx[i], p->ty[i]);
-        }
+        if (p->cx[i] < 0 || p->square[i] < far) continue;
+        const double scale = fmin(1.0, range / sqrt(p->square[i]));
+        tx[beyond_count] = sx + (p->x[i] - sx) * scale, ty[beyond_count] = sy + (p->y[i] - sy) * scale;
+        bounds_touch(&distant, tx[beyond_count], ty[beyond_count]);
+        beyond[beyond_count++] = i;
     }
     if (distant.min_x > b->min_x + close && distant.min_y > b->min_y + close && distant.max_x < b->max_x - close &&
         distant.max_y < b->max_y - close)
         return;
-    for (int i = 0; i < count; ++i) {
-        if (p->cx[i] < 0) continue;
-        if (p->tx[i] > distant.min_x + close && p->ty[i] > distant.min_y + close && p->tx[i] < distant.max_x - close &&
-            p->ty[i] < distant.max_y - close)
+    for (int k = 0; k < beyond_count; ++k) {
+        if (tx[k] > distant.min_x + close && ty[k] > distant.min_y + close && tx[k] < distant.max_x - close &&
+            ty[k] < distant.max_y - close)
             continue;
-        const double dx = p->x[i] - sx, dy = p->y[i] - sy;
-        const double scale = dx * dx + dy * dy >= far ? fmin(1.0, range / hypot(dx, dy)) : 1.0;
+        const double dx = p->x[beyond[k]] - sx, dy = p->y[beyond[k]] - sy;
+        const double scale = fmin(1.0, range / hypot(dx, dy));
         bounds_touch(b, sx + dx * scale, sy + dy * scale);
     }
 }
 
+// A point beyond the map's edge can still round to a cell of it; its beam was cut.
+static int mark_cut(const grid_frame *g, const observation *seen, int from, int count, double near, const beams *p,
+                    int marks, bounds *b) {
+    for (int i = 0; i < count; ++i) {
+        const double x = seen->x[from + i], y = seen->y[from + i], dx = x - seen->ox, dy = y - seen->oy;
+        int cx, cy;
+        if ((x == p->x[i] && y == p->y[i]) || !(dx * dx + dy * dy < near) || !world_to_map(g, x, y, &cx, &cy)) continue;
+        seen->marks[marks++] = cy * g->w + cx;
+        bounds_touch(b, x, y);
+    }
+    return marks;
+}
+
 void obstacles_observe(uint8_t *layer, const grid_frame *g, const observation *seen, double raytrace_range,
                        double obstacle_range, bounds *b) {
-    line_fan fan = {.lines = seen->lines};
-    int x0, y0;
-    const bool on_map = world_to_map(g, seen->ox, seen->oy, &x0, &y0);
-    if (on_map) {
-        fan_start(&fan, x0, y0, cell_distance(raytrace_range, g->res));
-        bounds_touch(b, seen->ox, seen->oy);
-    }
-    int marks = 0, last_x = -1, last_y = -1;
+    line_fan fan = {.lines = seen->lines, .reach = cell_distance(raytrace_range, g->res)};
+    const bool on_map = world_to_map(g, seen->ox, seen->oy, &fan.x0, &fan.y0);
+    if (on_map) bounds_touch(b, seen->ox, seen->oy);
     const double near = obstacle_range * obstacle_range;
+    int marks = 0, last_line = -1, last_mark = -1;
     for (int from = 0; from < seen->count; from += CHUNK) {
         const int count = seen->count - from < CHUNK ? seen->count - from : CHUNK;
         beams p;
+        int32_t cell[CHUNK];
+        bool cut = false;
         find_cells(g, seen, from, count, &p);
-        for (int i = 0; i < count; ++i) {
-            const double x = seen->x[from + i], y = seen->y[from + i], dx = x - seen->ox, dy = y - seen->oy;
-            int cx = p.cx[i], cy = p.cy[i];
-            if (!(dx * dx + dy * dy < near)) continue;
-            if (x == p.x[i] && y == p.y[i] ? cx < 0 : !world_to_map(g, x, y, &cx, &cy)) continue;
-            seen->marks[marks++] = cy * g->w + cx;
-            bounds_touch(b, x, y);
+        for (int i = 0; i < CHUNK; ++i) cell[i] = (int32_t)p.cy[i] * g->w + (int32_t)p.cx[i];
+        for (int i = 0; i < count; ++i) cut |= (p.x[i] != seen->x[from + i]) | (p.y[i] != seen->y[from + i]);
+        if (cut) {
+            marks = mark_cut(g, seen, from, count, near, &p, marks, b);
+            last_mark = -1;
         }
-        if (!on_map) continue;
-        touch_beams(seen, raytrace_range, count, &p, b);
+        if (on_map) touch_beams(seen, raytrace_range, count, &p, b);
+        // Neighbouring beams often end in the same cell.
         for (int i = 0; i < count; ++i) {
             if (p.cx[i] < 0) continue;
-            // Neighbouring beams often end in the same cell.
-            if (p.cx[i] != last_x || p.cy[i] != last_y) fan_add(&fan, p.cx[i], p.cy[i]);
-            last_x = p.cx[i], last_y = p.cy[i];
+            if (cell[i] != last_mark && p.square[i] < near && p.x[i] == seen->x[from + i] &&
+                p.y[i] == seen->y[from + i])
+                seen->marks[marks++] = last_mark = cell[i];
+            if (cell[i] != last_line && on_map) {
+                fan_add(&fan, (int)p.cx[i], (int)p.cy[i]);
+                last_line = cell[i];
+            }
         }
+        if (cut)
+            for (int i = 0; i < count; ++i)
+                if (p.x[i] != seen->x[from + i] || p.y[i] != seen->y[from + i]) p.square[i] = INFINITY;
+        widen(p.x, p.cx, p.square, near, 0, false, &b->min_x, &b->max_x);
+        widen(p.y, p.cx, p.square, near, 0, false, &b->min_y, &b->max_y);
     }
     // What is marked again need not be looked at; most cells are.
     for (int i = 0; i < marks; ++i) layer[seen->marks[i]] = COST_FREE;

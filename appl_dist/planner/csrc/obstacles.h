@@ -3,6 +3,9 @@
 #pragma once
 #include "freeing.h"
 
+// Points that may be read beyond a scan's last.
+enum { OBSERVATION_PADDING = 64 };
+
 // One lidar scan as points. Points are float32, as in the PointCloud2 that carries them in ROS.
 typedef struct {
     double ox, oy;    // m, odom: the sensor
