@@ -44,7 +44,10 @@ def run_actor(overrides: list[str], seconds: float, seed: int, out: Any) -> None
 
     settings = load(overrides)
     env = NavigationEnv(
-        select_worlds(settings.world.path, 300, 0, "train"), timing=settings.timing, planner=settings.planner, robot=settings.robot
+        select_worlds(settings.world.path, 300, 0, "train"),
+        timing=settings.timing,
+        planner=settings.planner,
+        robot=settings.robot,
     )
     rng = np.random.default_rng(seed)
     policy = papers_policy(rng)
@@ -111,7 +114,9 @@ def main() -> None:
     print(f"start-up (interpreter and imports of an actor): {time.perf_counter() - start:.2f} s")
 
     [(_, sim_s, episodes, wall, memory, stages)] = together(run_actor, [(overrides, a.seconds, 0)])
-    print(f"\nwhere the time goes, {a.timing} timing, {a.arithmetic} arithmetic, {episodes} episodes, {sim_s:.0f} simulated seconds")
+    print(
+        f"\nwhere the time goes, {a.timing} timing, {a.arithmetic} arithmetic, {episodes} episodes, {sim_s:.0f} simulated seconds"
+    )
     print(f"{'stage':<16}{'ms per simulated s':>20}{'share':>8}{'calls per sim. s':>18}")
     for stage, (seconds, calls) in sorted(stages.items(), key=lambda kv: -kv[1][0]):
         print(f"{stage:<16}{1000 * seconds / sim_s:>20.3f}{seconds / wall:>8.1%}{calls / sim_s:>18.1f}")
