@@ -7,7 +7,7 @@ enum { NAVFN_BUFFER = 10000 };  // entries a priority buffer holds; more are dro
 
 // Potential by which the bounded wave reaches beyond what it needs; see navfn.c. The small one moves a plan by
 // micrometres as a rule, by millimetres in one of a hundred.
-#define NAVFN_MARGIN_EXACT 1300.0f
+#define NAVFN_MARGIN_EXACT 1600.0f
 #define NAVFN_MARGIN_FAST 100.0f
 
 typedef struct {
