@@ -7,7 +7,7 @@ enum { NAVFN_BUFFER = 10000 };  // entries a priority buffer holds; more are dro
 
 // Potential by which the bounded wave reaches beyond what it needs; see navfn.c. The small one moves a plan by
 // micrometres as a rule, by millimetres in one of a hundred.
-#define NAVFN_MARGIN_EXACT 1300.0f
+#define NAVFN_MARGIN_EXACT 1600.0f
 #define NAVFN_MARGIN_FAST 100.0f
 
 typedef struct {
@@ -30,12 +30,14 @@ typedef struct {
     int plan_count;
     double *plan;            // (path_capacity + 1, 2) m, odom: robot first
     bool whole;              // no bound: every potential is NavFn's
+    bool single;             // the wave in single precision
     float margin;            // NAVFN_MARGIN_…
     float bound;             // the wave spreads only where it can still matter: see navfn.c
     float goal_potential;    // of the last plan, 0 for none
     long cells;              // cells the wave looked at
     uint8_t cost_of[256];
-    float step_of[256];      // cost * 1/sqrt(2)
+    float step_of[256];      // cost * 1/sqrt(2), infinite where blocked
+    float per_cost[256];     // 1 / cost
 } navfn;
 
 void navfn_init(navfn *n);

@@ -19,6 +19,7 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
         const double angle = -set->angle_max_rad + i * (2 * set->angle_max_rad / ((int)set->beams - 1));
         n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);
     }
+    n->plan.single = fast;
     n->plan.margin = fast ? NAVFN_MARGIN_FAST : NAVFN_MARGIN_EXACT;
     n->local.inflate.stamps = n->global.inflate.stamps = fast;
     navfn_init(&n->plan);
