@@ -1,9 +1,5 @@
 #include "look.h"
 
-enum { COARSEST = 16 };  // points are looked at every 16th first, then those between
-
-void look_start(sample_block *b, int i) { b->back[i] = 0, b->gap[i] = COARSEST; }
-
 // The next points, and where to go on after each of them. Returns how many; the lanes left over repeat the last point.
 static int next_points(int steps, int back, int gap, arc_batch *at, int32_t *back_after, int32_t *gap_after) {
     int count = 0;
@@ -15,7 +11,7 @@ static int next_points(int steps, int back, int gap, arc_batch *at, int32_t *bac
             continue;
         }
         at->step[count] = steps - 1 - back;
-        back += gap == COARSEST ? COARSEST : 2 * gap;
+        back += gap == LOOK_COARSEST ? LOOK_COARSEST : 2 * gap;
         back_after[count] = back, gap_after[count] = gap;
         ++count;
     }

@@ -1,5 +1,5 @@
-// The lowest of many bounds that change one at a time: a tree of minima, eight children a node. Neither way takes a branch
-// that depends on the bounds.
+// The lowest of many bounds that change one at a time: a tree of minima, eight children a node. Neither way takes a
+// branch that depends on the bounds.
 #pragma once
 #include <math.h>
 #include <stdint.h>

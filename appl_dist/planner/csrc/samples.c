@@ -15,8 +15,8 @@ ALWAYS_INLINE void count_steps(sample_block *b, const planner_settings *set, int
     }
 }
 
-// Steps until both velocities are reached; a lane that is there takes steps of no time. False when some lane is not there
-// after ARC_FROM_MAX.
+// Steps until both velocities are reached; a lane that is there takes steps of no time. False when some lane is not
+// there after ARC_FROM_MAX.
 ALWAYS_INLINE bool speed_up(sample_block *b, const planner_settings *set, const motion *m) {
     const double acc_x = set->acc_lim_x, acc_theta = set->acc_lim_theta;
     double speed[SAMPLE_LANES], rate[SAMPLE_LANES], from[SAMPLE_LANES];

@@ -97,8 +97,8 @@ void wavefront_start(wavefront *m) {
 
 typedef uint64_t row_bits __attribute__((vector_size(8 * WAVE_WORDS)));
 
-// One level in the padded rows [first, last]: the front is what is open beside a reached cell and was not reached. A row
-// is overwritten when the rows beside it have been read. Whether there is a front.
+// One level in the padded rows [first, last]: the front is what is open beside a reached cell and was not reached. A
+// row is overwritten when the rows beside it have been read. Whether there is a front.
 WIDE static bool step(const uint64_t *restrict open, uint64_t *restrict reached, uint64_t *restrict front, int first,
                       int last) {
     const row_bits none = {0};
