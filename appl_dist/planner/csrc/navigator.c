@@ -1,6 +1,7 @@
 #include <string.h>
 
 #include "layout.h"
+#include "wide.h"
 
 #define PI 3.14159265358979323846
 
@@ -66,6 +67,17 @@ void navigator_set_parameters(navigator *n, const planner_parameters *par) {
                       n->set.resolution_m);
 }
 
+WIDE static void project(const float *ranges, const double *beam_cos, const double *beam_sin, int count, double c,
+                         double s, const observation *o) {
+    float *to_x = o->x, *to_y = o->y;
+    for (int i = 0; i < count; ++i) {
+        const double r = ranges[i];
+        const float x = (float)(r * beam_cos[i]), y = (float)(r * beam_sin[i]);
+        to_x[i] = (float)(o->ox + (x * c - y * s));
+        to_y[i] = (float)(o->oy + (x * s + y * c));
+    }
+}
+
 // As the scan reaches the maps in ROS: points in the laser's frame as float32 (LaserProjection), then moved to odom
 // and rounded to float32 again.
 void navigator_add_scan(navigator *n, const float *ranges, const double pose[3]) {
@@ -75,12 +87,12 @@ void navigator_add_scan(navigator *n, const float *ranges, const double pose[3])
     const double c = cos(pose[2]), s = sin(pose[2]);
     o->ox = pose[0] + n->set.laser_x_m * c;
     o->oy = pose[1] + n->set.laser_x_m * s;
-    for (int i = 0; i < (int)n->set.beams; ++i) {
-        const double r = ranges[i];
-        if (!(r > 0 && r < 1e6)) continue;
-        const float x = (float)(r * n->beam_cos[i]), y = (float)(r * n->beam_sin[i]);
-        o->x[o->count] = (float)(o->ox + (x * c - y * s));
-        o->y[o->count] = (float)(o->oy + (x * s + y * c));
+    const int beams = (int)n->set.beams;
+    project(ranges, n->beam_cos, n->beam_sin, beams, c, s, o);
+    for (int i = 0; i < beams; ++i) {
+        if (!(ranges[i] > 0 && ranges[i] < 1e6f)) continue;
+        o->x[o->count] = o->x[i];
+        o->y[o->count] = o->y[i];
         o->count += 1;
     }
 }

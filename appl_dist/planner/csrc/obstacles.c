@@ -1,8 +1,8 @@
 #include "obstacles.h"
 
-#include <string.h>
+#include "wide.h"
 
-enum { CHUNK = OBSERVATION_PADDING, LANES = 8 };  // beams worked on together
+enum { CHUNK = OBSERVATION_PADDING };  // beams worked on together
 
 // A beam that leaves the map: cut at its edges, as ObstacleLayer::raytraceFreespace does. False where nothing is left.
 static bool cut_at_edges(const grid_frame *g, const observation *seen, double end_x, double end_y, double *x,
@@ -32,63 +32,71 @@ static bool cut_at_edges(const grid_frame *g, const observation *seen, double en
 // Beams CHUNK at a time, the last chunk filled up with beams that end nowhere.
 typedef struct {
     double x[CHUNK], y[CHUNK];   // m, where the beams end on the map
-    double square[CHUNK];        // m^2 from the sensor
+    double square[CHUNK];        // m^2 from the sensor; infinite off the map
     double cx[CHUNK], cy[CHUNK]; // cells, not rounded; -1 off the map
+    int32_t cell[CHUNK];
+    bool cut;                    // some left the map and were cut
 } beams;
 
-static void find_cells(const grid_frame *g, const observation *seen, int from, int count, beams *p) {
+WIDE static void find_cells(const grid_frame *g, const observation *seen, int from, int count, beams *p) {
     const double end_x = g->ox + g->w * g->res, end_y = g->oy + g->h * g->res;
     const double ox = g->ox, oy = g->oy, res = g->res, w = g->w, h = g->h, sx = seen->ox, sy = seen->oy;
     const float *xs = seen->x + from, *ys = seen->y + from;
-    int outside = 0;
     for (int i = 0; i < CHUNK; ++i) {
         const double x = xs[i], y = ys[i], fx = (x - ox) / res, fy = (y - oy) / res;
-        p->x[i] = x, p->y[i] = y;
-        p->square[i] = (x - sx) * (x - sx) + (y - sy) * (y - sy);
         const bool inside = (x >= ox) & (y >= oy) & (fx < w) & (fy < h) & (x <= end_x) & (y <= end_y);
+        p->x[i] = x, p->y[i] = y;
+        p->square[i] = inside ? (x - sx) * (x - sx) + (y - sy) * (y - sy) : INFINITY;
         p->cx[i] = inside ? fx : -1.0;
         p->cy[i] = inside ? fy : -1.0;
     }
     for (int i = count; i < CHUNK; ++i) p->cx[i] = p->cy[i] = -1.0, p->square[i] = INFINITY;
-    for (int i = 0; i < count; ++i) outside |= p->cx[i] < 0;
-    if (!outside) return;
-    for (int i = 0; i < count; ++i)
+    double least = 0;
+    for (int i = 0; i < count; ++i) least = p->cx[i] < least ? p->cx[i] : least;
+    p->cut = false;
+    for (int i = 0; least < 0 && i < count; ++i)
         if (p->x[i] < ox || p->y[i] < oy || p->x[i] > end_x || p->y[i] > end_y) {
             int cx, cy;
+            p->cut = true;
             if (!cut_at_edges(g, seen, end_x, end_y, &p->x[i], &p->y[i], &cx, &cy)) continue;
             p->cx[i] = cx, p->cy[i] = cy;
             p->square[i] = (p->x[i] - sx) * (p->x[i] - sx) + (p->y[i] - sy) * (p->y[i] - sy);
         }
+    for (int i = 0; i < CHUNK; ++i) p->cell[i] = (int32_t)p->cy[i] * g->w + (int32_t)p->cx[i];
 }
 
-typedef struct {
-    double low[LANES], high[LANES];
-} extremes;
-
-// Widens [low, high] by start + (v - start) of the beams no farther than `reach` (a square, m^2).
-static void widen(const double *v, const double *cell, const double *square, double reach, double start, bool offset,
-                  double *low, double *high) {
-    extremes e;
-    for (int k = 0; k < LANES; ++k) e.low[k] = *low, e.high[k] = *high;
-    for (int i = 0; i < CHUNK; i += LANES)
-        for (int k = 0; k < LANES; ++k) {
-            const bool counts = (cell[i + k] >= 0) & (square[i + k] < reach);
-            const double at = offset ? start + (v[i + k] - start) : v[i + k];
-            const double a = counts ? at : e.low[k], b = counts ? at : e.high[k];
-            e.low[k] = a < e.low[k] ? a : e.low[k];
-            e.high[k] = b > e.high[k] ? b : e.high[k];
-        }
-    for (int k = 0; k < LANES; ++k) {
-        *low = e.low[k] < *low ? e.low[k] : *low;
-        *high = e.high[k] > *high ? e.high[k] : *high;
+// Loops of one plain operation each, so that they become vector code.
+static inline __attribute__((always_inline)) void widen_axis(const double *v, const double *square, double reach,
+                                                             double *low, double *high) {
+    double a[CHUNK], b[CHUNK];
+    for (int i = 0; i < CHUNK; ++i) a[i] = square[i] < reach ? v[i] : INFINITY;
+    for (int i = 0; i < CHUNK; ++i) b[i] = square[i] < reach ? v[i] : -INFINITY;
+#define FOLD(n)                                                                \
+    for (int i = 0; i < (n); ++i) a[i] = a[i + (n)] < a[i] ? a[i + (n)] : a[i]; \
+    for (int i = 0; i < (n); ++i) b[i] = b[i + (n)] > b[i] ? b[i + (n)] : b[i];
+    FOLD(CHUNK / 2) FOLD(CHUNK / 4) FOLD(CHUNK / 8)
+#undef FOLD
+    for (int i = 0; i < CHUNK / 8; ++i) {
+        *low = a[i] < *low ? a[i] : *low;
+        *high = b[i] > *high ? b[i] : *high;
     }
+}
+
+// Widens `b` by the ends of the beams nearer than `reach` (m^2).
+WIDE static void widen(const beams *p, double reach, bounds *b) {
+    widen_axis(p->x, p->square, reach, &b->min_x, &b->max_x);
+    widen_axis(p->y, p->square, reach, &b->min_y, &b->max_y);
 }
 
 // Widens `b` by how far the beams free. Only the extremes of those beyond the range are worth a hypot.
 static void touch_beams(const observation *seen, double range, int count, const beams *p, bounds *b) {
     const double sx = seen->ox, sy = seen->oy, far = 0.999 * range * range, close = 1e-6;
-    widen(p->x, p->cx, p->square, far, sx, true, &b->min_x, &b->max_x);
-    widen(p->y, p->cx, p->square, far, sy, true, &b->min_y, &b->max_y);
+    bounds ends = {INFINITY, INFINITY, -INFINITY, -INFINITY};
+    widen(p, far, &ends);
+    if (ends.min_x <= ends.max_x) {  // rounding keeps order: the extremes stay the extremes
+        bounds_touch(b, sx + (ends.min_x - sx), sy + (ends.min_y - sy));
+        bounds_touch(b, sx + (ends.max_x - sx), sy + (ends.max_y - sy));
+    }
     // None of them gets farther than the range.
     if (b->min_x < sx - range - close && b->max_x > sx + range + close && b->min_y < sy - range - close &&
         b->max_y > sy + range + close)
@@ -139,32 +147,24 @@ void obstacles_observe(uint8_t *layer, const grid_frame *g, const observation *s
     for (int from = 0; from < seen->count; from += CHUNK) {
         const int count = seen->count - from < CHUNK ? seen->count - from : CHUNK;
         beams p;
-        int32_t cell[CHUNK];
-        bool cut = false;
         find_cells(g, seen, from, count, &p);
-        for (int i = 0; i < CHUNK; ++i) cell[i] = (int32_t)p.cy[i] * g->w + (int32_t)p.cx[i];
-        for (int i = 0; i < count; ++i) cut |= (p.x[i] != seen->x[from + i]) | (p.y[i] != seen->y[from + i]);
-        if (cut) {
-            marks = mark_cut(g, seen, from, count, near, &p, marks, b);
-            last_mark = -1;
-        }
         if (on_map) touch_beams(seen, raytrace_range, count, &p, b);
         // Neighbouring beams often end in the same cell.
-        for (int i = 0; i < count; ++i) {
-            if (p.cx[i] < 0) continue;
-            if (cell[i] != last_mark && p.square[i] < near && p.x[i] == seen->x[from + i] &&
-                p.y[i] == seen->y[from + i])
-                seen->marks[marks++] = last_mark = cell[i];
-            if (cell[i] != last_line && on_map) {
-                fan_add(&fan, (int)p.cx[i], (int)p.cy[i]);
-                last_line = cell[i];
-            }
+        for (int i = 0; i < count && on_map; ++i) {
+            if (p.cell[i] == last_line || p.cx[i] < 0) continue;
+            fan_add(&fan, (int)p.cx[i], (int)p.cy[i]);
+            last_line = p.cell[i];
         }
-        if (cut)
+        if (p.cut) {
+            marks = mark_cut(g, seen, from, count, near, &p, marks, b);
             for (int i = 0; i < count; ++i)
                 if (p.x[i] != seen->x[from + i] || p.y[i] != seen->y[from + i]) p.square[i] = INFINITY;
-        widen(p.x, p.cx, p.square, near, 0, false, &b->min_x, &b->max_x);
-        widen(p.y, p.cx, p.square, near, 0, false, &b->min_y, &b->max_y);
+        }
+        for (int i = 0; i < count; ++i) {
+            if (p.cell[i] == last_mark || !(p.square[i] < near)) continue;
+            seen->marks[marks++] = last_mark = p.cell[i];
+        }
+        widen(&p, near, b);
     }
     // What is marked again need not be looked at; most cells are.
     for (int i = 0; i < marks; ++i) layer[seen->marks[i]] = COST_FREE;
