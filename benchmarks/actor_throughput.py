@@ -115,7 +115,8 @@ def main() -> None:
 
     [(_, sim_s, episodes, wall, memory, stages)] = together(run_actor, [(overrides, a.seconds, 0)])
     print(
-        f"\nwhere the time goes, {a.timing} timing, {a.arithmetic} arithmetic, {episodes} episodes, {sim_s:.0f} simulated seconds"
+        f"\nwhere the time goes, {a.timing} timing, {a.arithmetic} arithmetic, {episodes} episodes, "
+        f"{sim_s:.0f} simulated seconds"
     )
     print(f"{'stage':<16}{'ms per simulated s':>20}{'share':>8}{'calls per sim. s':>18}")
     for stage, (seconds, calls) in sorted(stages.items(), key=lambda kv: -kv[1][0]):

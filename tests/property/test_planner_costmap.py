@@ -102,9 +102,7 @@ def points_of(ranges, pose, chosen):
             continue
         angle = -chosen.angle_max_rad + i * (2 * chosen.angle_max_rad / (BEAMS - 1))
         x, y = float(np.float32(r * math.cos(angle))), float(np.float32(r * math.sin(angle)))
-        points.append(
-            (float(np.float32(sensor[0] + (x * c - y * s))), float(np.float32(sensor[1] + (x * s + y * c))))
-        )
+        points.append((float(np.float32(sensor[0] + (x * c - y * s))), float(np.float32(sensor[1] + (x * s + y * c)))))
     return sensor, points
 
 
