@@ -7,7 +7,8 @@
 enum { INFLATION_BINS_MAX = 250, INFLATION_REACH = INFLATION_CELLS_MAX + 1, INFLATION_SIDE = 2 * INFLATION_REACH + 1 };
 enum { INFLATION_STAMP_ROWS = 2 * INFLATION_CELLS_MAX + 1, INFLATION_STAMP_WIDTH = 48 };
 
-// Up to this reach the fire is exact, so that both ways give the same costs.
+// Up to this reach the fire was found to be an exact distance transform, so that stamping gives the same costs (600
+// random maps and all recorded ones; at 5 cells there is a map where it is not).
 enum { INFLATION_EXACT_CELLS = 4 };
 
 typedef struct {
