@@ -101,6 +101,7 @@ class Learner:
         self._status = self._status_now()
         self.ingest = Ingest(self.replay, self.limiter, run.run_id)
         self.publisher = WeightsPublisher(bus, run.run_id)
+        self._published_updates = -1
         self._publish()
         self.roster = Roster(bus, run.run_id)
         self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
@@ -238,6 +239,10 @@ class Learner:
         )  # fmt: skip
 
     def _publish(self) -> None:
+        """A new version, unless the last one has these weights."""
+        if self.td3.updates == self._published_updates:
+            return
+        self._published_updates = self.td3.updates
         self.version += 1
         self.statistics.current = (self.epoch, self.version)
         try:
