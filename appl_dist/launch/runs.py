@@ -51,7 +51,7 @@ def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Pa
     if not exists:
         worlds_of(settings, settings.world.train)  # a wrong path is told here, not by every actor
         worlds_of(settings, settings.evaluation.worlds)
-    write_atomic(folder / CONFIG_FILE, json.dumps(as_dict(settings), indent=2))
+    write_atomic(folder / CONFIG_FILE, json.dumps(as_dict(settings), indent=2), sync=True)
     return settings, folder
 
 
