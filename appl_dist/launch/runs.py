@@ -78,7 +78,9 @@ def announce_gone(folder: Path, ended: bool) -> None:
 
 
 def whereabouts(folder: Path) -> Whereabouts:
-    """What was written down last; no endpoint if nothing was."""
+    """What was written down last; no endpoint if nothing was. UserError: there is no such folder."""
+    if not folder.is_dir():
+        raise UserError(f"actor.run: no folder at {folder}; it is a run's, as the learner has it (run.folder)")
     try:
         values = json.loads((folder / LEARNER_FILE).read_text())
         return Whereabouts(str(values["endpoint"]), bool(values["ended"]))
