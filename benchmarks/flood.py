@@ -3,9 +3,9 @@
     python benchmarks/flood.py                  # every kind, 6 s each
     python benchmarks/flood.py uploads names    # some
 
-The honest actor uploads an episode of 50 transitions every 20 ms, or as fast as it is answered. The flooder sends as much
-as it can: junk uploads under one name, under 100,000 names, of 15 MB, progress reports, questions, or tokens that come
-and go. Learner, actor and flooder are processes of this machine.
+The honest actor uploads an episode of 50 transitions every 20 ms, or as fast as it is answered. The flooder sends as
+much as it can: junk uploads under one name, under 100,000 names, of 15 MB, progress reports, questions, or tokens that
+come and go. Learner, actor and flooder are processes of this machine.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ def measure(kind: str, seconds: float) -> None:
     p50, p99 = 1e3 * np.percentile(latencies_s, (50, 99))
     rates = {k: round((after[k] - before.get(k, 0)) / took_s) for k in after if isinstance(after[k], int) and after[k]}
     print(
-        f"{kind:>9}: {dict(answers)}; ack p50 {p50:.1f} ms, p99 {p99:.1f} ms; learner CPU {100 * used_s / took_s:.0f} %, "
-        f"a second: {rates}",
+        f"{kind:>9}: {dict(answers)}; ack p50 {p50:.1f} ms, p99 {p99:.1f} ms; learner "
+        f"{100 * used_s / took_s:.0f} % CPU, a second: {rates}",
         flush=True,
     )
 
