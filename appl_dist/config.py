@@ -51,6 +51,8 @@ class RunSettings:
     """folder: "" makes runs/<date>-<time>; resume: an earlier run's folder to continue, with its configuration.
 
     The run ends at `transitions`, or after `minutes` of wall-clock if that comes first (0: no such limit).
+    sync: every rollout is on the disk, not only with the kernel, before it is sent and again before it is acknowledged:
+        then a power cut loses none.
     """
 
     folder: str = ""
@@ -58,6 +60,7 @@ class RunSettings:
     seed: int = 0
     transitions: int = 50_000
     minutes: float = 0.0
+    sync: bool = False
 
 
 @dataclass(frozen=True)
