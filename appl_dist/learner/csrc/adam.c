@@ -3,23 +3,17 @@
 #include <math.h>
 #include <string.h>
 
-/* Wider vectors where the processor has them. Every operation is IEEE 754 on its own element and nothing is contracted,
- * so each clone gives the same bits. */
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__) && !defined(__SANITIZE_ADDRESS__)
-#define WIDE __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define WIDE
-#endif
-#define INLINE static inline __attribute__((always_inline))
+#include "wide.h"
 
-INLINE float widen(uint16_t half) {
+
+ALWAYS_INLINE float widen(uint16_t half) {
     const uint32_t bits = (uint32_t)half << 16;
     float x;
     memcpy(&x, &bits, sizeof x);
     return x;
 }
 
-INLINE uint16_t narrow(float x) {
+ALWAYS_INLINE uint16_t narrow(float x) {
     uint32_t bits;
     memcpy(&bits, &x, sizeof bits);
     const uint32_t rounded = (bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16;
@@ -27,7 +21,7 @@ INLINE uint16_t narrow(float x) {
 }
 
 /* grad16 and copy16 are constants where this is inlined, so each case is a loop without branches. */
-INLINE void adam_loop(const adam_rates *r, size_t n, float *restrict p, const float *restrict grad32,
+ALWAYS_INLINE void adam_loop(const adam_rates *r, size_t n, float *restrict p, const float *restrict grad32,
                       const uint16_t *restrict grad16, float *restrict m, float *restrict v,
                       uint16_t *restrict copy16) {
     const adam_rates k = *r;
@@ -52,7 +46,7 @@ WIDE void adam_step(const adam_rates *rates, size_t n, float *p, const float *gr
         adam_loop(rates, n, p, grad32, NULL, m, v, NULL);
 }
 
-INLINE void polyak_loop(float tau, size_t n, float *restrict target, const float *restrict p,
+ALWAYS_INLINE void polyak_loop(float tau, size_t n, float *restrict target, const float *restrict p,
                         uint16_t *restrict copy16) {
     for (size_t i = 0; i < n; ++i) {
         target[i] += tau * (p[i] - target[i]);
