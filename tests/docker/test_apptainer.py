@@ -96,7 +96,7 @@ def test_its_scripts_build_an_image_that_passes_its_test(tmp_path: Path) -> None
         copy(ROOT / source, tmp_path / target[1:])
     (tmp_path / "post").write_text("\n".join(build.sections["post"]))
     (tmp_path / "test").write_text("\n".join(final.sections["environment"] + final.sections["test"]))
-    copies = "\n".join(f"COPY --from=build {path} {path}" for path in filter(None, final.sections["files"]))
+    copies = "\n".join(f"COPY --from=build {line}" for line in filter(None, final.sections["files"]))
     (tmp_path / "Dockerfile").write_text(
         f"FROM {base} AS build\nARG {' '.join(PIP)}\nCOPY source /source\nCOPY post /post\nRUN /bin/sh -ex /post\n"
         f"FROM {base}\n{copies}\nCOPY test /test\n"
