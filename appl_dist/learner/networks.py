@@ -7,7 +7,8 @@ Q-values and actions, and everything that accumulates (parameters, Adam's moment
 
 The backward pass is written out (a chain of matrix products, tested against autograd): gradients go straight
 into the optimiser's vectors, and the actor's loss is differentiated by the action alone, not by 729
-observation entries and the critic's weights.
+observation entries and the critic's weights. A network keeps the memory of its passes: fresh pages for every
+product cost as much as the products.
 """
 
 from __future__ import annotations
@@ -37,17 +38,23 @@ class Part(NamedTuple):
 class Norm(NamedTuple):
     """What layer normalisation leaves for the backward pass."""
 
-    input: Tensor  # (heads, b, out)
     mean: Tensor  # (heads, b, 1)
     scale: Tensor  # (heads, b, 1) 1 / standard deviation
 
 
 class Pass(NamedTuple):
-    """What a forward pass leaves for the backward pass."""
+    """One evaluation: written by `forward`, read by the backward pass, overwritten by the next of its size."""
 
     inputs: list[Tensor]  # of each layer, (heads, b, in)
+    products: list[Tensor]  # of each layer with its bias, (heads, b, out); the last is `output`
     norms: list[Norm]  # of each hidden layer; empty without layer normalisation
-    output: Tensor  # (heads, b, out) float32
+    slopes: list[Tensor]  # the loss's gradient by each layer's product, (heads, b, out); the caller has the last
+    last_slope: Tensor  # (heads, b, in) float32: what the output layer hands down
+
+    @property
+    def output(self) -> Tensor:
+        """(heads, b, out) float32."""
+        return self.products[-1]
 
 
 class FlatMLP:
@@ -79,6 +86,7 @@ class FlatMLP:
         self.master = self._layers(hidden, last)
         self.layers = self._layers(hidden if copy is None else copy, last)
         self.gradients = self._layers(*(part.grad for part in self.parts))
+        self._passes: dict[tuple[int, int], Pass] = {}  # by heads and batch size
         self.reset(generator)
 
     def reset(self, generator: torch.Generator) -> None:
@@ -111,23 +119,41 @@ class FlatMLP:
             at = end
         return views
 
-    def forward(self, x: Tensor, heads: int | None = None) -> Pass:
-        """Evaluate the first `heads` networks (all by default) on inputs x (b, in)."""
-        h = self.heads if heads is None else heads
-        # Contiguous: a matrix product would copy the expanded view, and again in the backward pass.
-        y = x.to(self.layers[0].weight.dtype).expand(h, *x.shape).contiguous()
-        inputs, norms = [], []
-        for layer in self.layers[:-1]:
-            inputs.append(y)
-            y = torch.baddbmm(layer.bias[:h], y, layer.weight[:h])
-            if self.normalise:
-                before = y
-                y, mean, scale = torch.native_layer_norm(before, before.shape[-1:], None, None, _NORM_EPSILON)
-                norms.append(Norm(before, mean, scale))
-            y = y.relu_()
-        inputs.append(y.float())
-        last = self.layers[-1]
-        return Pass(inputs, norms, torch.baddbmm(last.bias[:h], inputs[-1], last.weight[:h]))
+    def forward(self, *columns: Tensor, heads: int | None = None) -> Pass:
+        """Evaluate the first `heads` networks (all by default) on inputs (b, in), given in one piece or side by side."""
+        h, b = self.heads if heads is None else heads, len(columns[0])
+        if (h, b) not in self._passes:
+            self._passes[h, b] = self._room(h, b)
+        done = self._passes[h, b]
+        # One copy a head: a matrix product would copy an expanded view, and again in the backward pass.
+        at = 0
+        for x in columns:
+            done.inputs[0][:, :, at : at + x.shape[1]] = x
+            at += x.shape[1]
+        done.norms.clear()
+        for i, layer in enumerate(self.layers):
+            y = torch.baddbmm(layer.bias[:h], done.inputs[i], layer.weight[:h], out=done.products[i])
+            if i + 1 < len(self.layers):
+                if self.normalise:
+                    y, mean, scale = torch.native_layer_norm(y, y.shape[-1:], None, None, _NORM_EPSILON)
+                    done.norms.append(Norm(mean, scale))
+                y.relu_()
+                if y is not done.inputs[i + 1]:
+                    done.inputs[i + 1].copy_(y)
+        return done
+
+    def _room(self, h: int, b: int) -> Pass:
+        def empty(width: int, like: Tensor) -> Tensor:
+            return torch.empty(h, b, width, dtype=like.dtype, device=like.device)
+
+        inputs = [empty(layer.weight.shape[1], layer.weight) for layer in self.layers]
+        products = [empty(layer.weight.shape[2], layer.weight) for layer in self.layers]
+        if not self.normalise:  # ReLU in place, where the next layer computes in the same type
+            products = [
+                x if x.dtype == y.dtype else y for x, y in zip(inputs[1:], products[:-1], strict=True)
+            ] + products[-1:]
+        slopes = [empty(layer.weight.shape[2], layer.weight) for layer in self.layers[:-1]]
+        return Pass(inputs, products, [], slopes, torch.empty_like(inputs[-1]))
 
     def backward(self, done: Pass, gradient: Tensor) -> None:
         """Fill the gradients of a loss whose gradient by the output is `gradient` (heads, b, out) float32."""
@@ -147,12 +173,14 @@ class FlatMLP:
         for i in reversed(range(len(self.layers))):
             yield i, g
             if i:
-                layer, before = self.layers[i], self.layers[i - 1]
-                g = torch.bmm(g, layer.weight[: len(g)].transpose(1, 2))
+                weight, to = self.layers[i].weight[: len(g)], done.slopes[i - 1]
+                room = done.last_slope if i == len(self.layers) - 1 else to
+                g = torch.bmm(g, weight.transpose(1, 2), out=room)
                 # Where ReLU gave 0, the next layer's input is 0 and nothing flows back.
-                g = torch.ops.aten.threshold_backward(g, done.inputs[i], 0).to(before.weight.dtype)
+                torch.ops.aten.threshold_backward.grad_input(g, done.inputs[i], 0, grad_input=g)
+                g = to.copy_(g) if room is not to else g
                 if self.normalise:
-                    n = done.norms[i - 1]
+                    before, norm = done.products[i - 1], done.norms[i - 1]
                     g, _, _ = torch.ops.aten.native_layer_norm_backward(
-                        g, n.input, n.input.shape[-1:], n.mean, n.scale, None, None, [True, False, False]
+                        g, before, before.shape[-1:], norm.mean, norm.scale, None, None, [True, False, False]
                     )

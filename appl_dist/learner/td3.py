@@ -78,7 +78,7 @@ class TD3:
             )
         )
         targets = self.targets(returns, discounts, next_obs)  # (b,)
-        done = self.critic.forward(torch.cat((obs, action), 1))
+        done = self.critic.forward(obs, action)
         error = done.output[..., 0] - targets  # (2, b)
         by_output = error * (2.0 / len(targets))
         if batch.weights is not None:
@@ -105,7 +105,7 @@ class TD3:
         """One step up the first critic's value of the actor's own actions, TD3 paper eq. 6; its loss."""
         done = self.actor.forward(obs)
         chosen = done.output[0].tanh()  # (b, act)
-        value = self.critic.forward(torch.cat((obs, chosen), 1), heads=1)
+        value = self.critic.forward(obs, chosen, heads=1)
         down = torch.full_like(value.output, -1.0 / len(obs))  # the loss is -mean Q
         by_action = self.critic.input_gradient(value, down, chosen.shape[1])
         self.actor.backward(done, (by_action * (1.0 - chosen.square()))[None])
@@ -119,7 +119,7 @@ class TD3:
         noise = torch.randn(action.shape, generator=self.noise, device=self.device) * s.target_noise
         noise.clamp_(-s.target_noise_clip, s.target_noise_clip)
         action = (action + noise).clamp_(-1.0, 1.0)
-        q = self.critic_target.forward(torch.cat((next_obs, action), 1)).output[..., 0]
+        q = self.critic_target.forward(next_obs, action).output[..., 0]
         return returns + discounts * q.amin(0)
 
     def _average_targets(self) -> None:
