@@ -18,9 +18,11 @@ from torch import Tensor
 
 from appl_dist.errors import UserError
 from appl_dist.learner.networks import FlatMLP
-from appl_dist.learner.optimiser import Adam, Workers, average
+from appl_dist.learner.optimiser import Adam, average
+from appl_dist.learner.products import tiled
 from appl_dist.learner.rows import Batch
 from appl_dist.learner.settings import TD3Settings
+from appl_dist.learner.workers import Workers
 from appl_dist.spec import FloatArray
 
 log = logging.getLogger(__name__)
@@ -37,19 +39,20 @@ class TD3:
 
     def __init__(self, settings: TD3Settings, obs_size: int, action_size: int, seed: int = 0) -> None:
         self.settings = settings
-        torch.set_num_threads(settings.threads)
         self.device = _usable(settings.device)
         self.precision = _resolve(settings.precision, self.device)
         dtype = torch.bfloat16 if self.precision == "bf16" else torch.float32
+        # Where our own threads share the work, torch's would only get in their way.
+        torch.set_num_threads(1 if tiled(dtype, self.device) else settings.threads)
+        self._workers = Workers(settings.threads)
         initial = torch.Generator().manual_seed(seed)
         self.noise = torch.Generator(self.device).manual_seed(seed + 1)  # target smoothing
         actor_sizes = (obs_size, *settings.hidden, action_size)
         critic_sizes = (obs_size + action_size, *settings.hidden, 1)
-        self.actor = FlatMLP(actor_sizes, 1, initial, self.device, dtype)
-        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype, settings.layer_norm)
+        self.actor = FlatMLP(actor_sizes, 1, initial, self.device, dtype, workers=self._workers)
+        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype, settings.layer_norm, self._workers)
         self.actor_target = copy.deepcopy(self.actor)
         self.critic_target = copy.deepcopy(self.critic)
-        self._workers = Workers(settings.threads)
         self.actor_adam = Adam(self.actor, settings.actor_lr, self._workers)
         self.critic_adam = Adam(self.critic, settings.critic_lr, self._workers)
         self.updates = 0
