@@ -161,15 +161,16 @@ AMX void amx_multiply(const amx_product *p, void *scratch) {
             _tile_zero(1);
             _tile_zero(2);
             _tile_zero(3);
+            /* Seven tiles: with the eighth the loop takes 1.4 times as long while the core's other thread works. */
             for (size_t d = 0; d < depth * tile; d += tile) {
                 _tile_loadd(4, a0 + d, 64);
-                _tile_loadd(6, b0 + d, 64);
-                _tile_loadd(7, b1 + d, 64);
                 _tile_loadd(5, a1 + d, 64);
+                _tile_loadd(6, b0 + d, 64);
                 _tile_dpbf16ps(0, 4, 6);
-                _tile_dpbf16ps(1, 4, 7);
                 _tile_dpbf16ps(2, 5, 6);
-                _tile_dpbf16ps(3, 5, 7);
+                _tile_loadd(6, b1 + d, 64);
+                _tile_dpbf16ps(1, 4, 6);
+                _tile_dpbf16ps(3, 5, 6);
             }
             _tile_stored(0, sums, 4 * BLOCK);
             _tile_stored(1, sums + 16, 4 * BLOCK);
