@@ -15,7 +15,6 @@ import os
 import subprocess
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
 
@@ -23,44 +22,6 @@ import numpy as np
 import psutil
 
 PAPER_TRANSITIONS_PER_CPU_S = 0.46  # 231 transitions/s on 500 CPUs
-
-
-class StageClock:
-    """Wraps methods of an object and adds up the time spent in each, less what the wrapping itself takes."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
-        self.calls: dict[str, int] = defaultdict(int)
-
-    @staticmethod
-    def overhead_s() -> float:
-        """Time that one watched call adds to its caller."""
-
-        class Nothing:
-            def call(self) -> None: ...
-
-        def took(nothing: Nothing, calls: int = 20_000) -> float:
-            start = time.perf_counter()
-            for _ in range(calls):
-                nothing.call()
-            return (time.perf_counter() - start) / calls
-
-        plain, watched = Nothing(), Nothing()
-        StageClock().watch(watched, "call", "nothing")
-        return min(took(watched) - took(plain) for _ in range(5))
-
-    def watch(self, owner: Any, method: str, stage: str) -> None:
-        inner: Callable[..., Any] = getattr(owner, method)
-
-        def timed(*args: Any, **kwargs: Any) -> Any:
-            start = time.perf_counter()
-            try:
-                return inner(*args, **kwargs)
-            finally:
-                self.seconds[stage] += time.perf_counter() - start
-                self.calls[stage] += 1
-
-        setattr(owner, method, timed)
 
 
 def papers_policy(rng: np.random.Generator) -> Any:
@@ -74,7 +35,7 @@ def papers_policy(rng: np.random.Generator) -> Any:
     return MLPPolicy(PolicyFile(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:])))
 
 
-def run_actor(path: str, timing: str, seconds: float, seed: int, stages: bool, out: Any) -> None:
+def run_actor(path: str, timing: str, seconds: float, seed: int, out: Any) -> None:
     from appl_dist.actor.env import NavigationEnv
     from appl_dist.actor.exploration import ExplorationSettings, explore
     from appl_dist.actor.rollout import collect
@@ -87,31 +48,30 @@ def run_actor(path: str, timing: str, seconds: float, seed: int, stages: bool, o
     )
     rng = np.random.default_rng(seed)
     policy = papers_policy(rng)
-    clock = StageClock()
-    if stages:
-        loop = env.loop
-        clock.watch(loop.simulator, "step", "physics")
-        clock.watch(loop.simulator, "scan_from", "lidar")
-        clock.watch(loop.simulator, "reset", "reset: world")
-        clock.watch(loop.navigator, "reset", "reset: planner")
-        clock.watch(loop.navigator, "update_local_map", "local map")
-        clock.watch(loop.navigator, "update_global_map", "global map")
-        clock.watch(loop.navigator, "plan", "global plan")
-        clock.watch(loop.navigator, "control", "local planner")
-        clock.watch(policy, "act", "policy")
     explorer = ExplorationSettings()
+    policy_s, policy_calls = 0.0, 0
+
+    def choose(observation: Any) -> Any:
+        nonlocal policy_s, policy_calls
+        began = time.perf_counter()
+        action = explore(policy.act(observation), explorer, 50_000, 100_000, rng)
+        policy_s += time.perf_counter() - began
+        policy_calls += 1
+        return action
+
     env.reset(seed=seed)
     transitions, simulated_s, episodes = 0, 0.0, 0
     start = time.perf_counter()
     while time.perf_counter() - start < seconds:
-        rollout = collect(env, lambda o: explore(policy.act(o), explorer, 50_000, 100_000, rng), world=env.next_world())
+        rollout = collect(env, choose, world=env.next_world())
         assert rollout is not None
         transitions += len(rollout)
         simulated_s += env.loop.now_ms / 1000.0
         episodes += 1
     wall = time.perf_counter() - start
     memory = psutil.Process().memory_info().rss / 2**20
-    out.put((transitions, simulated_s, episodes, wall, memory, dict(clock.seconds), dict(clock.calls)))
+    stages = {name: tuple(spent) for name, spent in env.loop.stages.items()} | {"policy": (policy_s, policy_calls)}
+    out.put((transitions, simulated_s, episodes, wall, memory, stages))
     env.close()
 
 
@@ -148,25 +108,22 @@ def main() -> None:
     subprocess.run([sys.executable, "-c", "import appl_dist.actor.main, appl_dist.config"], check=True)
     print(f"start-up (interpreter and imports of an actor): {time.perf_counter() - start:.2f} s")
 
-    [(_, sim_s, episodes, wall, memory, seconds, calls)] = together(
-        run_actor, [(a.worlds, a.timing, a.seconds, 0, True)]
-    )
+    [(_, sim_s, episodes, wall, memory, stages)] = together(run_actor, [(a.worlds, a.timing, a.seconds, 0)])
     print(f"\nwhere the time goes, {a.timing} timing, {episodes} episodes, {sim_s:.0f} simulated seconds")
     print(f"{'stage':<16}{'ms per simulated s':>20}{'share':>8}{'calls per sim. s':>18}")
-    wall -= StageClock.overhead_s() * sum(calls.values())
-    rest = wall - sum(seconds.values())
-    for stage, s in [*sorted(seconds.items(), key=lambda kv: -kv[1]), ("Python and rest", rest)]:
-        count = f"{calls[stage] / sim_s:.1f}" if stage in calls else ""
-        print(f"{stage:<16}{1000 * s / sim_s:>20.3f}{s / wall:>8.1%}{count:>18}")
+    for stage, (seconds, calls) in sorted(stages.items(), key=lambda kv: -kv[1][0]):
+        print(f"{stage:<16}{1000 * seconds / sim_s:>20.3f}{seconds / wall:>8.1%}{calls / sim_s:>18.1f}")
+    rest = wall - sum(seconds for seconds, _ in stages.values())
+    print(f"{'Python and rest':<16}{1000 * rest / sim_s:>20.3f}{rest / wall:>8.1%}")
 
     single = 0.0
     columns = ("processes", "transitions/s", "x real time", "x paper CPU", "MiB each", "speed-up")
     print("\n" + "".join(f"{c:>15}" for c in columns))
     for k in a.processes:
-        results = together(run_actor, [(a.worlds, a.timing, a.seconds, i, False) for i in range(k)])
+        results = together(run_actor, [(a.worlds, a.timing, a.seconds, i) for i in range(k)])
         rate = sum(n / w for n, _, _, w, *_ in results)
         real = sum(s / w for _, s, _, w, *_ in results)
-        memory = max(m for *_, m, _, _ in results)
+        memory = max(m for *_, m, _ in results)
         single = single or rate / k
         per_cpu = rate / k / PAPER_TRANSITIONS_PER_CPU_S
         print(f"{k:>15}{rate:>15.1f}{real:>15.0f}{per_cpu:>15.0f}{memory:>15.0f}{rate / single:>15.2f}")

@@ -84,7 +84,7 @@ def episode(env: Any, number: int, seed: int, tally: Tally) -> str:
         ended = terminated or truncated
         tally.decisions += 1
     tally.successes += info["success"]
-    deepest_m = math.inf if simulator.rolled_over else env.min_clearance_m
+    deepest_m = math.inf if simulator.rolled_over else info["min_clearance_m"]
     close()
     start = env.world.path[rng.integers(len(env.world.path))]  # at least 0.375 m from anything
     simulator.reset(env.world, number, np.array([*start, rng.uniform(-math.pi, math.pi)]))

@@ -7,7 +7,7 @@ is one trial of a protocol in one BARN world.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.actor.loop import NavigationLoop
-from appl_dist.actor.monitor import TrialMonitor
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.reward import RewardSettings, reward
 from appl_dist.actor.timing import TimingSettings
@@ -74,7 +73,6 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (OBSERVATION_SIZE,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(space),), np.float32)
         self._order: list[int] = []
-        self.on_sample: Callable[[], None] | None = None  # told whenever the lidar has fired
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -89,12 +87,9 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
             raise ValueError(f"options.world: got {index}; this environment has {len(self.worlds)} other worlds")
         self.world = self.worlds[index]
         start, self._goal = self.protocol.start(self.world), self.protocol.goal(self.world)
-        self._start_xy = (start[0], start[1])
-        self.loop.reset(self.world, int(self.np_random.integers(2**31)), start, self._goal)
-        self._clock_start_ms: int | None = 0 if self.protocol.clock_starts_after_m == 0.0 else None
-        self._success = self._over = False
-        self.monitor = TrialMonitor()
-        self.monitor.sample(0, self.loop.simulator)
+        rules = self.protocol.rules(self.world)
+        self.loop.reset(self.world, int(self.np_random.integers(2**31)), start, rules)
+        self._over = False
         self._apply(self.space.defaults)
         return self._observe(self.loop.scan), self._info()
 
@@ -107,17 +102,16 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
             raise RuntimeError("step() after the end of an episode: call reset() first")
         self._apply(values)
         before = self.loop.simulator.position
-        self.loop.advance(self.period_ms, self._ended)
-        self._ended()
+        self.loop.advance(self.period_ms)
         after = self.loop.simulator.position
         scan = self.loop.scan
         observation = self._observe(scan)
-        terminated = self._success or self._failed()
-        truncated = not terminated and self._timed_out()
+        terminated = self.loop.success or self.loop.failed
+        truncated = not terminated and self.loop.timed_out
         self._over = terminated or truncated
         nearest_m = float(scan.min())
         goal = (float(self._goal[0]), float(self._goal[1]))
-        r = reward(self.rewards, before, after, goal, nearest_m, self._success)
+        r = reward(self.rewards, before, after, goal, nearest_m, self.loop.success)
         return observation, r, terminated, truncated, self._info()
 
     def close(self) -> None:
@@ -133,33 +127,6 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.parameters = values
         self.loop.navigator.set_parameters(values)
 
-    def _ended(self) -> bool:
-        """Whether the trial is over now; latches success and the start of the clock."""
-        simulator, protocol = self.loop.simulator, self.protocol
-        x, y = simulator.position
-        self.monitor.sample(self.loop.now_ms, simulator)
-        if self.on_sample is not None:
-            self.on_sample()
-        if self._clock_start_ms is None:
-            moved_m = math.hypot(x - self._start_xy[0], y - self._start_xy[1])
-            if moved_m >= protocol.clock_starts_after_m:
-                self._clock_start_ms = self.loop.now_ms
-        failed = self._failed()
-        self._success = self._success or (not failed and protocol.succeeded(x, y, self._goal))
-        return self._success or failed or self._timed_out()
-
-    def _failed(self) -> bool:
-        simulator = self.loop.simulator
-        return simulator.rolled_over or (self.protocol.collision_ends and simulator.collided)
-
-    def _timed_out(self) -> bool:
-        if self._clock_start_ms is None:
-            return self.loop.now_ms >= self.protocol.idle_limit_s * 1000
-        return self._time_s() >= self.protocol.limit_s
-
-    def _time_s(self) -> float:
-        return 0.0 if self._clock_start_ms is None else (self.loop.now_ms - self._clock_start_ms) / 1000.0
-
     def _observe(self, scan: FloatArray) -> FloatArray:
         observation = np.empty(OBSERVATION_SIZE, np.float32)
         np.minimum(scan, LIDAR_CLIP_M, out=observation[SCAN])
@@ -171,16 +138,16 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         return observation
 
     def _info(self) -> dict[str, Any]:
-        simulator = self.loop.simulator
+        loop, simulator = self.loop, self.loop.simulator
         return {
-            "time_s": self._time_s(),
-            "success": self._success,
+            "time_s": loop.time_s,
+            "success": loop.success,
             "collision": simulator.collided,
             "rolled_over": simulator.rolled_over,
             "world": self.world.index,
             "distance_m": simulator.distance_m,
-            "min_clearance_m": self.monitor.min_clearance_m,
-            "collisions": self.monitor.collisions,
-            "recoveries": self.loop.navigator.recoveries,
+            "min_clearance_m": loop.min_clearance_m,
+            "collisions": loop.collisions,
+            "recoveries": loop.navigator.recoveries,
             "parameters": self.parameters,
         }

@@ -23,6 +23,20 @@ OPTIMAL_SPEED_MPS = 2.0  # of the BARN Challenge's optimal time
 
 
 @dataclass(frozen=True)
+class TrialRules:
+    """What the loop must know to end a trial; world frame, metres. success_y_m NaN: success is a matter of radius."""
+
+    goal_x_m: float
+    goal_y_m: float
+    success_y_m: float
+    goal_radius_m: float
+    limit_s: float
+    idle_limit_s: float
+    clock_starts_after_m: float
+    collision_ends: bool
+
+
+@dataclass(frozen=True)
 class Protocol:
     """One set of rules of a trial; conf/protocol has one file for each.
 
@@ -84,10 +98,19 @@ class Protocol:
         start = self.start(world)
         return np.array([start[0], start[1] + self.goal_ahead_m])
 
-    def succeeded(self, x: float, y: float, goal: NDArray[np.float64]) -> bool:
-        if self.success_y_m is not None:
-            return y > self.success_y_m
-        return math.hypot(x - goal[0], y - goal[1]) < self.goal_radius_m
+    def rules(self, world: World) -> TrialRules:
+        """These rules in `world`."""
+        x, y = self.goal(world)
+        return TrialRules(
+            float(x),
+            float(y),
+            math.nan if self.success_y_m is None else self.success_y_m,
+            self.goal_radius_m,
+            self.limit_s,
+            self.idle_limit_s,
+            self.clock_starts_after_m,
+            self.collision_ends,
+        )
 
     def optimal_time_s(self, world: World) -> float:
         """OT: start, reference path as the official scripts place it, goal, at OPTIMAL_SPEED_MPS."""

@@ -23,7 +23,7 @@ class Policy(Protocol):
 class EpisodeResult:
     """What one trial came to. time_s is the protocol's clock, also of a trial that failed.
 
-    parameters: (decisions, n) planner parameter values in force. trajectory: (samples, 6), `monitor.COLUMNS`.
+    parameters: (decisions, n) planner parameter values in force. trajectory: (samples, 6), `loop.TRAJECTORY`.
     """
 
     world: int
@@ -130,8 +130,8 @@ def _drive(
         return_=return_,
         recoveries=info["recoveries"],
         parameters=np.array(parameters),
-        trajectory=env.monitor.trajectory,
-        digest=env.monitor.digest(),
+        trajectory=env.loop.trajectory,
+        digest=env.loop.digest(),
     )
 
 

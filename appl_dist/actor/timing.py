@@ -36,8 +36,8 @@ class TimingSettings:
             value = getattr(self, f.name)
             if f.name.endswith("period_ms") and not 1 <= value <= 1000:
                 raise ValueError(f"timing.{f.name}: got {value}; allowed 1..1000 ms")
-            if not isinstance(value, bool) and value < 0:
-                raise ValueError(f"timing.{f.name}: got {value}; allowed 0 or more")
+            elif not isinstance(value, bool) and not 0 <= value <= 1000:
+                raise ValueError(f"timing.{f.name}: got {value}; allowed 0..1000")
 
 
 IDEAL = TimingSettings(

@@ -112,7 +112,7 @@ def replay(env: NavigationEnv, trial: Trial, every_ms: int = 0) -> Recording:
             due_ms = env.loop.now_ms + every_ms
             frames.append(_frame(env))
 
-    env.on_sample = record if every_ms else None
+    env.loop.on_sample = record if every_ms else None
     try:
         result = repeat_episode(env, decode_trace(trial.parameters), seed=trial.seed, world=trial.world)
         if every_ms:
@@ -123,7 +123,7 @@ def replay(env: NavigationEnv, trial: Trial, every_ms: int = 0) -> Recording:
             f"{trial_name(trial)}: cannot be driven again ({error}); the code is not that of then"
         ) from None
     finally:
-        env.on_sample = None
+        env.loop.on_sample = None
     job = Job(trial.method, trial.policy, trial.world, trial.trial, trial.seed, trial.course)
     difference = _difference(trial, trial_of(job, trial.protocol, result))
     lidar = env.loop.simulator.lidar

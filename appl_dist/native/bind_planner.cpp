@@ -247,6 +247,7 @@ public:
     long rollout_steps() const { return n_->local_plan.rollouts.rollout_steps; }
     long navfn_cells() const { return n_->plan.cells; }
     size_t bytes() const { return bytes_; }
+    nb::capsule core() { return nb::capsule(n_, "navigator"); }
 
 private:
     struct Free {
@@ -286,6 +287,7 @@ void bind_planner(nb::module_ &m) {
         .def("plan", &Planner::plan)
         .def("control", &Planner::control)
         .def("cycle", &Planner::cycle)
+        .def("core", &Planner::core)
         .def("bearing", &Planner::bearing)
         .def("load_map", &Planner::load_map)
         .def("inflate", &Planner::inflate)

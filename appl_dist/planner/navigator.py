@@ -41,6 +41,11 @@ class Navigator:
         self.settings = settings
         self._planner = Planner(settings, _floats(DWA.defaults if values is None else values))
 
+    @property
+    def native(self) -> Planner:
+        """The C planner behind this object, for the loop that runs both."""
+        return self._planner
+
     def reset(self, goal: Array) -> None:
         """New goal (x, y, yaw): clears maps, plans, recoveries and the local planner's memory."""
         self._planner.reset(_floats(goal))

@@ -11,19 +11,16 @@ from __future__ import annotations
 
 import math
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist._native import Vehicle
+from appl_dist._native import CONTACT_MS, Loop, Robot
 from appl_dist.sim.bullet import BulletBody, Pose
 from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from appl_dist.sim.worlds import Floats, World
 
-CONTACT_MS = 2  # pybullet step where an obstacle is in reach; crashes at 2 m/s come out as with 1, and not with 4
-GLIDE_MS = 20  # how often the ideal drive looks for collisions
-HARDEST_N = 400.0  # twice the weight: more is a jolt of one step
-NEAR_M = 0.02  # bullet's contacts begin to act at this distance
 ROLLED_OVER_RAD = 1.0
 CLEARANCE_LIMIT_M = 100.0
 FARTHEST = 1e4  # m and rad: where numbers stop being a place
@@ -53,7 +50,7 @@ class Simulator:
 
     def __init__(self, robot: RobotSettings = RobotSettings(), lidar: LidarSettings = LidarSettings()) -> None:  # noqa: B008
         self.robot, self.lidar = robot, lidar
-        self._vehicle = Vehicle(robot.native())
+        self._robot = Robot(robot.native())
         self._caster = lidar.native()
         self._half_separation = 0.5 * robot.native().separation
         self._body = None if robot.drive == "ideal" else BulletBody()
@@ -88,17 +85,11 @@ class Simulator:
             raise ValueError(f"seed: got {seed}; allowed 0..2^64-1")
         self._seed = seed
         self._cylinders = _checked_cylinders(world)
-        self._vehicle.reset(start, seed, self._cylinders)
+        self._robot.reset(start, seed, self._cylinders)
         if self.clearance_m < 0.0:
             raise ValueError(f"pose: ({start[0]:g}, {start[1]:g}) lies in an obstacle of {world.name}")
-        if self._body is not None:
-            self._body.land()
-        self._landed = True
         self._built = False  # whether pybullet has this world yet
         self._ready = True
-        self.collided = False  # since reset
-        self.in_collision = False  # now
-        self.rolled_over = False  # since reset
 
     def step(self, command: NDArray | tuple[float, float], dt_s: float, command_age_s: float = 0.0) -> None:
         """Drive dt_s, a multiple of 1 ms, on the last cmd_vel received: `command` (2,) v m/s, w rad/s.
@@ -116,58 +107,39 @@ class Simulator:
         v, w = float(command[0]), float(command[1])
         if not (math.isfinite(v) and math.isfinite(w)):
             raise ValueError(f"command: got ({v}, {w}); both must be finite")
-        self._vehicle.command(v, w, round(1000.0 * command_age_s))
-        if self._body is None:
-            self._glide(ms)
-        else:
-            self._drive(ms, self._body)
+        self._robot.command(v, w, round(1000.0 * command_age_s))
+        while (ms := ms - self._robot.drive(ms)) > 0:
+            step_ms = min(ms, CONTACT_MS)
+            self.contact_step(step_ms)
+            ms -= step_ms
 
-    def _drive(self, ms: int, body: BulletBody) -> None:
-        while ms > 0:
-            done = 0 if body.held else self._vehicle.drive_free(ms, NEAR_M, CONTACT_MS)
-            if done == 0:
-                done = min(ms, CONTACT_MS)
-                self._contact_step(done)
-                self._landed = False
-            elif not self._landed:
-                body.land()
-                self._landed = True
-            ms -= done
+    def couple(self, planner: Any, timing: Any) -> Loop:
+        """Robot and lidar in one C loop with a planner's core; see `actor/loop.py`."""
+        return Loop(self._robot, self._caster, planner, self.lidar.mount_x_m, timing)
 
-    def _glide(self, ms: int) -> None:
-        """The ideal drive goes through obstacles; touching one is all that is noted."""
-        while ms > 0:
-            chunk = min(ms, GLIDE_MS)
-            self._vehicle.drive_free(chunk, 0.0, 1)
-            self.in_collision = self.clearance_m <= 0.0
-            self.collided |= self.in_collision
-            ms -= chunk
-
-    def _wheel_rates(self) -> tuple[float, float]:
-        v, w = self._vehicle.wheels
-        turn = w * self._half_separation
-        return (v - turn) / WHEEL_RADIUS_M, (v + turn) / WHEEL_RADIUS_M
-
-    def _contact_step(self, ms: int) -> None:
+    def contact_step(self, ms: int) -> None:
         """One step where contacts are possible: predict freely, let pybullet resolve, correct."""
-        body, vehicle = self._body, self._vehicle
-        assert body is not None
-        before = vehicle.pose
+        body, robot = self._body, self._robot
+        assert body is not None, "the ideal drive has no contacts"
+        before = robot.pose
         if not self._built:
             body.rebuild(self._cylinders, before)
             self._built = True
-        velocity = vehicle.predict(ms)
+        elif robot.landed:
+            body.land()
+        velocity = robot.predict(ms)
         motion = body.step(before, velocity, self._wheel_rates(), 1e-3 * ms)
-        self.in_collision = body.touching
-        if body.held:
-            vehicle.correct(*motion)
-            vehicle.load(min(body.ground_force_n, HARDEST_N))
-        self.collided |= self.in_collision
-        self.rolled_over |= body.tilt_rad > ROLLED_OVER_RAD
+        rolled_over = body.tilt_rad > ROLLED_OVER_RAD
+        robot.resolve(body.touching, body.held, rolled_over, body.ground_force_n, *motion)
+
+    def _wheel_rates(self) -> tuple[float, float]:
+        v, w = self._robot.wheels
+        turn = w * self._half_separation
+        return (v - turn) / WHEEL_RADIUS_M, (v + turn) / WHEEL_RADIUS_M
 
     def scan(self) -> NDArray[np.float32]:
         """(720,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""
-        return self.scan_from(self._vehicle.pose, self._vehicle.time_ms)
+        return self.scan_from(self._robot.pose, self._robot.time_ms)
 
     def scan_from(self, pose: Pose, time_ms: int) -> NDArray[np.float32]:
         """The scan of a moment gone by, from the true pose then: a scan that nobody reads need not be cast."""
@@ -178,70 +150,74 @@ class Simulator:
         self._caster.cast(lidar, self._cylinders, self._seed, time_ms, ranges)
         return ranges
 
-    def readings(self) -> tuple[Pose, Pose, tuple[float, float]]:
-        """`pose`, `odom_pose` and `odom_twist` as plain numbers, for who asks 50 times a second."""
-        vehicle = self._vehicle
-        return vehicle.pose, vehicle.odom_pose, vehicle.odom_twist
-
     @property
     def position(self) -> tuple[float, float]:
         """True x, y of base_link, world frame."""
-        x, y, _ = self._vehicle.pose
+        x, y, _ = self._robot.pose
         return x, y
-
-    @property
-    def motion(self) -> tuple[float, float, float, float, float]:
-        """True x, y, yaw, forward speed and yaw rate, without an array."""
-        forward, _, w = self._vehicle.twist
-        return (*self._vehicle.pose, forward, w)
 
     @property
     def pose(self) -> Floats:
         """(3,) true x, y, yaw of base_link, world frame."""
-        return np.array(self._vehicle.pose)
+        return np.array(self._robot.pose)
 
     @property
     def twist(self) -> Floats:
         """(2,) true forward speed of base_link and yaw rate."""
-        forward, _, w = self._vehicle.twist
+        forward, _, w = self._robot.twist
         return np.array((forward, w))
 
     @property
     def side_speed_mps(self) -> float:
         """True speed of base_link to its left: the drift that wheel odometry does not see."""
-        return float(self._vehicle.twist[1])
+        return float(self._robot.twist[1])
 
     @property
     def wheel_twist(self) -> Floats:
         """(2,) forward speed and yaw rate the wheels turn for: the command after the controller's limits."""
-        return np.array(self._vehicle.wheels)
+        return np.array(self._robot.wheels)
 
     @property
     def tilt_rad(self) -> float:
         """Angle between the robot's and the world's vertical axis."""
-        return 0.0 if self._body is None else self._body.tilt_rad
+        return 0.0 if self._body is None or self._robot.landed else self._body.tilt_rad
+
+    @property
+    def in_collision(self) -> bool:
+        """Whether the robot touches an obstacle now."""
+        return bool(self._robot.in_collision)
+
+    @property
+    def collided(self) -> bool:
+        """Whether the robot has touched an obstacle since reset."""
+        return bool(self._robot.collided)
+
+    @property
+    def rolled_over(self) -> bool:
+        """Whether the robot has fallen over since reset."""
+        return bool(self._robot.rolled_over)
 
     @property
     def odom_pose(self) -> Floats:
         """(3,) x, y by odometry: wheel speed integrated along the true yaw, from the true start; yaw with noise."""
-        return np.array(self._vehicle.odom_pose)
+        return np.array(self._robot.odom_pose)
 
     @property
     def odom_twist(self) -> Floats:
         """(2,) forward speed and yaw rate as odometry publishes them: filtered, every 20 ms."""
-        return np.array(self._vehicle.odom_twist)
+        return np.array(self._robot.odom_twist)
 
     @property
     def time_s(self) -> float:
         """Simulated time since reset."""
-        return 1e-3 * self._vehicle.time_ms
+        return 1e-3 * self._robot.time_ms
 
     @property
     def distance_m(self) -> float:
         """True distance driven since reset."""
-        return float(self._vehicle.distance)
+        return float(self._robot.distance)
 
     @property
     def clearance_m(self) -> float:
         """Distance from the hull (chassis and wheels) to the nearest obstacle, negative inside, at most 100."""
-        return float(self._vehicle.clearance(CLEARANCE_LIMIT_M))
+        return float(self._robot.clearance(CLEARANCE_LIMIT_M))

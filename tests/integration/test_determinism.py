@@ -62,7 +62,7 @@ def run(history: str) -> list[tuple[str, bool]]:
             other.loop.simulator.step((2.0, 0.3), 0.777)
             other.reset()
             env.reset(seed=k + 1000)
-            env.loop.advance(300 + k, lambda: False)
+            env.loop.advance(300 + k)
         found[k] = episode(env, k)
     return [found[k] for k in range(EPISODES)]
 

@@ -3,13 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-/* Wider vectors where the processor has them. Every operation is IEEE 754 on its own element and nothing is contracted,
- * so each clone gives the same bits. */
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__) && !defined(__SANITIZE_ADDRESS__)
-#define WIDE __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define WIDE
-#endif
+#include "wide.h"
+
 #define INLINE static inline __attribute__((always_inline))
 
 INLINE float widen(uint16_t half) {

@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "geometry.h"
+#include "wide.h"
 
 #define PI 3.14159265358979323846
 
@@ -24,7 +25,7 @@ static inline double bearing(double y, double x) {
 }
 
 #define BLOCK 64 /* cylinders at a time */
-#define LANES 4  /* beams at a time */
+#define LANES 8  /* beams at a time */
 
 /* What a block of cylinders looks like from the lidar: centres in its frame and the beams that may hit them. */
 typedef struct {
@@ -64,8 +65,10 @@ static inline void hit_lanes(const double *restrict c, const double *restrict s,
     for (int i = 0; i < LANES; ++i) ranges[i] = (float)found[i] < ranges[i] ? (float)found[i] : ranges[i];
 }
 
-void lidar_cast(const lidar_spec *spec, const double *cosines, const double *sines, const double pose[3],
-                const double *cylinders, size_t n, uint64_t seed, uint64_t stamp, float *ranges) {
+WIDE void lidar_cast(const lidar *sensor, const double pose[3], const double *cylinders, size_t n, uint64_t seed,
+                uint64_t stamp, float *ranges) {
+    const lidar_spec *spec = &sensor->spec;
+    const double *cosines = sensor->cosines, *sines = sensor->sines;
     const double c = cos(pose[2]), s = sin(pose[2]), turn = 2.0 * PI / spec->increment;
     const long beams = (long)spec->beams, end = beams - LANES;
     for (long i = 0; i < beams; ++i) ranges[i] = INFINITY;

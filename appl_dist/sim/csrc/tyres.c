@@ -15,7 +15,6 @@
 #include "geometry.h"
 
 #define STEP_S 0.001
-#define GRAVITY 9.8
 #define MAX_SWEEPS 50
 #define TOLERANCE 1e-7 /* m/s: largest velocity change of a sweep at which the solution counts as found */
 #define ODOMETRY_MS 20

@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 #define CONTACTS 8 /* two edges of four wheels */
+#define GRAVITY 9.8
 
 typedef struct {
     double mass, inertia_z;       /* kg, kg m^2 about the centre of mass */

@@ -100,7 +100,7 @@ def test_fault_04_max_vel_theta_bounds_turns_to_both_sides(env: NavigationEnv) -
     slow = DWA.defaults
     slow[DWA.names.index("max_vel_theta")] = 0.4
     env.loop.navigator.set_parameters(slow)
-    env.loop.advance(1000, lambda: False)
+    env.loop.advance(1000)
     pose = env.loop.estimate[0]
     # Turned fully around, the robot must rotate; whatever the side, no faster than the new bound.
     for yaw in (-math.pi / 2, 0.0, math.pi):

@@ -1,4 +1,4 @@
-from appl_dist.actor.loop import Rate
+from appl_dist._native import Rate
 
 
 def test_cycles_lie_on_a_grid() -> None:

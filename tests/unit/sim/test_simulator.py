@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 import pytest
 
-from appl_dist._native import Vehicle
+from appl_dist._native import Robot
 from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.robot import RobotSettings
 from appl_dist.sim.simulator import Simulator
@@ -68,7 +68,7 @@ def test_two_simulators_side_by_side_do_not_meet() -> None:
 
 def test_free_motion_is_the_tyre_model_alone() -> None:
     """pybullet is carried along and adds nothing, however the time is cut."""
-    vehicle = Vehicle(RobotSettings().native())
+    vehicle = Robot(RobotSettings().native())
     vehicle.reset(np.zeros(3), 3, np.empty((0, 3)))
     with Simulator() as simulator:
         simulator.reset(EMPTY, 3, np.zeros(3))
@@ -76,7 +76,7 @@ def test_free_motion_is_the_tyre_model_alone() -> None:
             command = (1.0 + 0.5 * math.sin(k), math.cos(k))
             simulator.step(command, 0.001 * ms)
             vehicle.command(*command, 0)
-            vehicle.drive_free(ms, 0.0)
+            vehicle.drive(ms)
         assert tuple(simulator.pose) == vehicle.pose
         assert tuple(simulator.odom_pose) == vehicle.odom_pose
         assert simulator.distance_m == vehicle.distance

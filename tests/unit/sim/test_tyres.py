@@ -8,21 +8,21 @@ import math
 import numpy as np
 import pytest
 
-from appl_dist._native import Vehicle
+from appl_dist._native import Robot
 from appl_dist.sim.robot import RobotSettings
 from tests.shared_data import shared
 
 NOTHING = np.empty((0, 3))
 
 
-def drive(v: float, w: float, ms: int, heading: float = 0.0, vehicle: Vehicle | None = None) -> Vehicle:
+def drive(v: float, w: float, ms: int, heading: float = 0.0, vehicle: Robot | None = None) -> Robot:
     """A vehicle after `ms` of a command, from rest unless one is given."""
     if vehicle is None:
-        vehicle = Vehicle(RobotSettings().native())
+        vehicle = Robot(RobotSettings().native())
         vehicle.reset(np.array([0.0, 0.0, heading]), 0, NOTHING)
     for _ in range(ms):
         vehicle.command(v, w, 0)
-        vehicle.drive_free(1, 0.0)
+        vehicle.drive(1)
     return vehicle
 
 
@@ -48,7 +48,7 @@ def test_steady_motion_is_gazebos() -> None:
         twists = []
         for _ in range(2000):
             vehicle.command(v, w, 0)
-            vehicle.drive_free(1, 0.0)
+            vehicle.drive(1)
             twists.append(vehicle.twist)
         for ours, name in zip(np.mean(twists, axis=0), ("vx_mean", "vy_mean", "w_mean"), strict=True):
             if not close(ours, expected[name]):
@@ -79,7 +79,7 @@ def test_turning_in_place_is_faster_along_the_axes() -> None:
     vehicle, own = drive(0.0, 1.57, 1000), []
     for _ in range(4000):
         vehicle.command(0.0, 1.57, 0)
-        vehicle.drive_free(1, 0.0)
+        vehicle.drive(1)
         own.append(vehicle.twist[2])
     assert close(max(own), max(rates))
     assert close(min(own), min(rates))
@@ -91,7 +91,7 @@ def test_a_mirrored_command_gives_a_mirrored_motion() -> None:
     spec.com_y = 0.0
     ends = []
     for sign in (1.0, -1.0):
-        vehicle = Vehicle(spec)
+        vehicle = Robot(spec)
         vehicle.reset(np.zeros(3), 0, NOTHING)
         drive(0.8, 1.2 * sign, 1000, vehicle=vehicle)
         ends.append(np.array(vehicle.pose) * [1.0, sign, sign])
@@ -113,14 +113,14 @@ def test_wheels_obey_the_controllers_limits() -> None:
 def test_an_old_command_stops_the_wheels() -> None:
     vehicle = drive(0.5, 0.0, 500)
     vehicle.command(0.5, 0.0, 0)
-    vehicle.drive_free(250, 0.0)
+    vehicle.drive(250)
     assert vehicle.wheels[0] == pytest.approx(0.5)
-    vehicle.drive_free(25, 0.0)
+    vehicle.drive(25)
     assert vehicle.wheels[0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_without_friction_the_robot_stays() -> None:
-    vehicle = Vehicle(RobotSettings(friction=0.0).native())
+    vehicle = Robot(RobotSettings(friction=0.0).native())
     vehicle.reset(np.zeros(3), 0, NOTHING)
     assert drive(2.0, 1.0, 500, vehicle=vehicle).pose == (0.0, 0.0, 0.0)
 
