@@ -19,6 +19,7 @@ from appl_dist.learner.workers import Workers
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
+
 class Adam:
     """Adam with its usual constants on all parameters of `net`. `first`, `second` (P,) are the moments."""
 
