@@ -69,7 +69,7 @@ def test_what_is_not_a_number_stays_so() -> None:
         ({"bias": torch.zeros(1, 5).bfloat16()}, ValueError, r"bias: expected \(1, 6\)"),
         ({"open": torch.zeros(6, 4).bfloat16()}, ValueError, r"open: expected \(4, 6\)"),
         ({"sums": torch.zeros(2, 6).bfloat16()}, ValueError, r"sums: expected \(1, 6\)"),
-        ({"b": torch.zeros(6, 5).bfloat16(), "transpose_b": True, "sums": torch.zeros(1, 6).bfloat16()}, ValueError, "as"),
+        ({"b": torch.zeros(6, 5).bfloat16(), "transpose_b": True, "sums": torch.zeros(1, 6)}, ValueError, "sums"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(change: dict[str, Any], error: type[Exception], words: str) -> None:
