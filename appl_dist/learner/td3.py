@@ -39,11 +39,12 @@ class TD3:
 
     def __init__(self, settings: TD3Settings, obs_size: int, action_size: int, seed: int = 0) -> None:
         self.settings = settings
+        torch.set_num_threads(settings.threads)
         self.device = _usable(settings.device)
         self.precision = _resolve(settings.precision, self.device)
         dtype = torch.bfloat16 if self.precision == "bf16" else torch.float32
-        # Where our own threads share the work, torch's would only get in their way.
-        torch.set_num_threads(1 if tiled(dtype, self.device) else settings.threads)
+        # In an update. Where our own threads share the products, torch's would only get in their way.
+        self._torch_threads = 1 if tiled(dtype, self.device) else settings.threads
         self._workers = Workers(settings.threads)
         initial = torch.Generator().manual_seed(seed)
         self.noise = torch.Generator(self.device).manual_seed(seed + 1)  # target smoothing
@@ -64,9 +65,12 @@ class TD3:
         # Adam's moments of dead units decay into denormals, which are slow. The flag is the calling thread's,
         # for numpy too, so it is on for the update only.
         torch.set_flush_denormal(True)
+        threads = torch.get_num_threads()
+        torch.set_num_threads(self._torch_threads)
         try:
             return self._update(batch, detail)
         finally:
+            torch.set_num_threads(threads)
             torch.set_flush_denormal(False)
 
     def _update(self, batch: Batch, detail: bool) -> Metrics:
