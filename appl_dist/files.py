@@ -9,17 +9,33 @@ from pathlib import Path
 from appl_dist.errors import UserError
 
 
-def write_atomic(path: Path, data: str | bytes, advice: str = "free some space or choose another folder") -> None:
+def write_atomic(
+    path: Path, data: str | bytes, advice: str = "free some space or choose another folder", sync: bool = False
+) -> None:
     """Replace `path` by `data`, making its folder; a reader sees the old file or the new one, never half of one.
 
-    UserError, ending in `advice`, if it cannot be written; then nothing has changed.
+    sync: return when it is on the disk, so that it survives a power cut. UserError, ending in `advice`, if it cannot be
+    written; then nothing has changed.
     """
     partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(data.encode() if isinstance(data, str) else data)
+        if sync:
+            to_disk(partial)
         os.replace(partial, path)
+        if sync:
+            to_disk(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):
             partial.unlink()
         raise UserError(f"{path}: cannot be written ({error.strerror}); {advice}") from None
+
+
+def to_disk(path: Path) -> None:
+    """Wait until a file's content, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

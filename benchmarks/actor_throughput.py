@@ -35,16 +35,19 @@ def papers_policy(rng: np.random.Generator) -> Any:
     return MLPPolicy(PolicyFile(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:])))
 
 
-def run_actor(path: str, timing: str, seconds: float, seed: int, out: Any) -> None:
+def run_actor(overrides: list[str], seconds: float, seed: int, out: Any) -> None:
     from appl_dist.actor.env import NavigationEnv
     from appl_dist.actor.exploration import ExplorationSettings, explore
     from appl_dist.actor.rollout import collect
     from appl_dist.actor.worldset import select_worlds
     from appl_dist.config import load
 
-    settings = load([f"timing={timing}", f"world.path={path}"])
+    settings = load(overrides)
     env = NavigationEnv(
-        select_worlds(path, 300, 0, "train"), timing=settings.timing, planner=settings.planner, robot=settings.robot
+        select_worlds(settings.world.path, 300, 0, "train"),
+        timing=settings.timing,
+        planner=settings.planner,
+        robot=settings.robot,
     )
     rng = np.random.default_rng(seed)
     policy = papers_policy(rng)
@@ -101,15 +104,20 @@ def main() -> None:
     parser.add_argument("--timing", default="gazebo")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--arithmetic", choices=["exact", "fast"], default="exact")
     a = parser.parse_args()
+    overrides = [f"timing={a.timing}", f"world.path={a.worlds}", f"planner.arithmetic={a.arithmetic}"]
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in `appl-dist actor`: its idle threads would take a core
 
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", "import appl_dist.actor.main, appl_dist.config"], check=True)
     print(f"start-up (interpreter and imports of an actor): {time.perf_counter() - start:.2f} s")
 
-    [(_, sim_s, episodes, wall, memory, stages)] = together(run_actor, [(a.worlds, a.timing, a.seconds, 0)])
-    print(f"\nwhere the time goes, {a.timing} timing, {episodes} episodes, {sim_s:.0f} simulated seconds")
+    [(_, sim_s, episodes, wall, memory, stages)] = together(run_actor, [(overrides, a.seconds, 0)])
+    print(
+        f"\nwhere the time goes, {a.timing} timing, {a.arithmetic} arithmetic, {episodes} episodes, "
+        f"{sim_s:.0f} simulated seconds"
+    )
     print(f"{'stage':<16}{'ms per simulated s':>20}{'share':>8}{'calls per sim. s':>18}")
     for stage, (seconds, calls) in sorted(stages.items(), key=lambda kv: -kv[1][0]):
         print(f"{stage:<16}{1000 * seconds / sim_s:>20.3f}{seconds / wall:>8.1%}{calls / sim_s:>18.1f}")
@@ -120,7 +128,7 @@ def main() -> None:
     columns = ("processes", "transitions/s", "x real time", "x paper CPU", "MiB each", "speed-up")
     print("\n" + "".join(f"{c:>15}" for c in columns))
     for k in a.processes:
-        results = together(run_actor, [(a.worlds, a.timing, a.seconds, i) for i in range(k)])
+        results = together(run_actor, [(overrides, a.seconds, i) for i in range(k)])
         rate = sum(n / w for n, _, _, w, *_ in results)
         real = sum(s / w for _, s, _, w, *_ in results)
         memory = max(m for *_, m, _ in results)

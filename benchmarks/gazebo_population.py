@@ -8,6 +8,7 @@ worlds, and the same of the twelve generation sets, are slow. Besides, the fast 
 against default DWA by the score of 2022, at 1 m: a simulator in which fast driving is too easy shows it there.
 
     python benchmarks/gazebo_population.py --worlds BARN --recorded RECORDED --runs 4 --folder runs/population
+    python benchmarks/gazebo_population.py … --arithmetic exact fast      paired tests of the two arithmetics
 
 Interrupted, the same command goes on where it stopped. Prints tables; draws population.png and .pdf in the folder.
 """
@@ -28,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from scipy.stats import spearmanr
+from scipy.stats import binomtest, false_discovery_control, spearmanr, ttest_1samp, ttest_rel, wilcoxon
 
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.timing import TimingSettings
@@ -39,6 +40,7 @@ from appl_dist.evaluate.runner import NavigationRunner, course_of, make_methods
 from appl_dist.evaluate.statistics import collect
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Trial, make_jobs, run_jobs
+from appl_dist.planner.parameters import Arithmetic, PlannerSettings
 from appl_dist.sim.worlds import World, load_worlds
 
 V2 = "set:max_vel_x=2,vx_samples=12"
@@ -67,9 +69,15 @@ def main() -> int:
         drawn = {}
         for name in options.populations:
             recorded = read_recorded(Path(options.recorded) / FILES[name])
-            drawn[name] = compare(name, recorded, worlds, options)
+            driven = {}
+            for arithmetic in options.arithmetic:
+                drawn[f"{name}, {arithmetic}"], driven[arithmetic] = compare(
+                    name, recorded, worlds, options, arithmetic
+                )
+            if len(driven) == 2:
+                tell_apart(name, driven["exact"], driven["fast"])
         if options.scores:
-            scores(worlds, options)
+            scores(worlds, options, options.arithmetic[0])
         draw(drawn, Path(options.folder))
     except UserError as error:
         print(f"gazebo_population: {error}", file=sys.stderr)
@@ -105,14 +113,20 @@ def _recorded(row: dict[str, str]) -> Recorded:
 
 
 def drive(
-    name: str, protocol: Protocol, methods: Sequence[tuple[str, str]], worlds: Sequence[World], options: Any
+    name: str,
+    protocol: Protocol,
+    methods: Sequence[tuple[str, str]],
+    worlds: Sequence[World],
+    options: Any,
+    arithmetic: Arithmetic,
 ) -> list[Trial]:
     """The trials of `methods` in `worlds`, kept in a file of the folder."""
     chosen = make_methods(methods)
-    make_runner = NavigationRunner(tuple(worlds), chosen, {"protocol": protocol, "timing": TimingSettings()})
+    environment = {"protocol": protocol, "timing": TimingSettings(), "planner": PlannerSettings(arithmetic=arithmetic)}
+    make_runner = NavigationRunner(tuple(worlds), chosen, environment)
     courses = {w.index: course_of(w) for w in worlds}
     jobs = make_jobs(chosen, [w.index for w in worlds], range(options.runs), options.seed, courses)
-    path = Path(options.folder) / f"trials-{name}.csv"
+    path = Path(options.folder) / f"trials-{name}-{arithmetic}.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     with (
         TrialLog(path, Trial, protocol.name, make_runner.config_hash()) as log,
@@ -122,12 +136,12 @@ def drive(
 
 
 def compare(
-    name: str, recorded: dict[int, Recorded], worlds: Sequence[World], options: Any
-) -> tuple[Floats, Floats, Floats]:
-    """Print one population beside its record; times per world (recorded, ours; failures 100 s), and our successes."""
+    name: str, recorded: dict[int, Recorded], worlds: Sequence[World], options: Any, arithmetic: Arithmetic
+) -> tuple[tuple[Floats, Floats], list[Trial]]:
+    """Print one population beside its record; returns times per world (recorded, ours; failures 100 s), and trials."""
     protocol = PROTOCOLS["challenge_2022" if name == "challenge" else name]
     worlds = [w for w in worlds if w.index in recorded][:: options.every]
-    trials = drive(name, protocol, [("default", "default")], worlds, options)
+    trials = drive(name, protocol, [("default", "default")], worlds, options, arithmetic)
     by_world = {w.index: [t for t in trials if t.world == w.index] for w in worlds}
     rows = [recorded[w.index] for w in worlds]
     weights = np.array([r.runs * r.success for r in rows])
@@ -135,7 +149,7 @@ def compare(
     times = np.array([t.time_s for t in trials if t.success])
     theirs = np.array([m * r.success + 100.0 * (1.0 - r.success) for m, r in zip(means, rows, strict=True)])
     ours = np.array([np.mean([t.time_s if t.success else 100.0 for t in by_world[w.index]]) for w in worlds])
-    table = Table(title=f"default DWA, {name}: {len(worlds)} worlds x {options.runs}")
+    table = Table(title=f"default DWA, {name}: {len(worlds)} worlds x {options.runs}, {arithmetic} arithmetic")
     for column in ("", "recorded", "here", "allowed"):
         table.add_column(column, justify="right" if column else "left")
     ends = {o: float(np.mean([t.outcome == o for t in trials])) for o in ("goal", "collision", "timeout")}
@@ -166,14 +180,40 @@ def compare(
         a, b = (np.array([x[sets == s].mean() for s in np.unique(sets)]) for x in (theirs, ours))
         table.add_row("rank correlation over generation sets", "", f"{spearmanr(a, b)[0]:.2f}", "≥ .9")
     Console().print(table)
-    return theirs, ours, times
+    return (theirs, ours), trials
 
 
-def scores(worlds: Sequence[World], options: Any) -> None:
+def tell_apart(name: str, exact: Sequence[Trial], fast: Sequence[Trial]) -> None:
+    """Print what paired tests see between two arithmetics: the same worlds and seeds, failures counted 100 s."""
+    a, b = ({(t.world, t.trial): t for t in trials} for trials in (exact, fast))
+    pairs = sorted(a.keys() & b.keys())
+    seconds = np.array([[t.time_s if t.success else 100.0 for t in (a[k], b[k])] for k in pairs])
+    difference = seconds[:, 1] - seconds[:, 0]
+    worlds = np.array([world for world, _ in pairs])
+    means = np.array([difference[worlds == w].mean() for w in np.unique(worlds)])
+    lost = sum(a[k].success and not b[k].success for k in pairs)
+    won = sum(b[k].success and not a[k].success for k in pairs)
+    p_worlds = [ttest_rel(*seconds[worlds == w].T).pvalue for w in np.unique(worlds) if (worlds == w).sum() > 1]
+    real = np.array([p for p in p_worlds if not np.isnan(p)])
+    below = int((false_discovery_control(real) < 0.05).sum()) if len(real) else 0
+    same = sum(a[k].digest == b[k].digest for k in pairs)
+    test = ttest_1samp(means, 0.0)
+    low, high = test.confidence_interval(0.95)
+    print(
+        f"{name}, fast less exact, {len(pairs)} pairs of one world and seed in {len(means)} worlds:\n"
+        f"  {same} pairs the same to the bit; mean difference {means.mean():+.2f} s, 95 % interval {low:+.2f} to "
+        f"{high:+.2f}, p = {test.pvalue:.2f} (t), {wilcoxon(means).pvalue:.2f} (signed ranks)\n"
+        f"  success in {lost} pairs only with exact, in {won} only with fast, p = "
+        f"{binomtest(won, max(1, won + lost)).pvalue:.2f} (McNemar)\n"
+        f"  worlds that differ at a false discovery rate of 5 %: {below} of {len(real)}"
+    )
+
+
+def scores(worlds: Sequence[World], options: Any, arithmetic: Arithmetic) -> None:
     """Score of 2022 (clip at 4 and 8 optimal times) at 1 m: default DWA and v2 on every sixth world."""
     protocol = replace(PROTOCOLS["challenge_2022"], goal_radius_m=1.0)
     worlds = [w for w in worlds if w.index % 6 == 0][:: options.every]
-    trials = drive("scores", protocol, [("default", "default"), ("v2", V2)], worlds, options)
+    trials = drive("scores", protocol, [("default", "default"), ("v2", V2)], worlds, options, arithmetic)
     samples = collect(trials, protocol.failed_time_s)
     low, high = CLIPS["before 2024"]
     table = Table(title=f"score of 2022 at 1 m: {len(worlds)} worlds x {options.runs}")
@@ -196,7 +236,7 @@ def scores(worlds: Sequence[World], options: Any) -> None:
     Console().print(table)
 
 
-def draw(drawn: dict[str, tuple[Floats, Floats, Floats]], folder: Path) -> None:
+def draw(drawn: dict[str, tuple[Floats, Floats]], folder: Path) -> None:
     """Times per world, recorded against here, and their distributions."""
     import matplotlib
 
@@ -206,7 +246,7 @@ def draw(drawn: dict[str, tuple[Floats, Floats, Floats]], folder: Path) -> None:
     if not drawn:
         return
     figure, axes = plt.subplots(len(drawn), 2, figsize=(9.0, 4.0 * len(drawn)), squeeze=False, layout="constrained")
-    for (left, right), (name, (theirs, ours, _)) in zip(axes, drawn.items(), strict=True):
+    for (left, right), (name, (theirs, ours)) in zip(axes, drawn.items(), strict=True):
         left.plot([0, 100], [0, 100], color="0.7", linewidth=1)
         left.plot(theirs, ours, ".", color="#0072B2", alpha=0.6)
         left.set(
@@ -228,6 +268,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--populations", nargs="+", choices=FILES, default=list(FILES))
     parser.add_argument("--runs", type=int, default=10, help="runs of every world")
     parser.add_argument("--every", type=int, default=1, help="drive every n-th world only")
+    parser.add_argument("--arithmetic", nargs="+", choices=["exact", "fast"], default=["exact"], help="both: compared")
     parser.add_argument("--scores", action="store_true", help="also default and v2 by the score of 2022")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)

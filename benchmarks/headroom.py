@@ -31,8 +31,8 @@ from rich.console import Console
 from rich.table import Table
 
 from appl_dist.actor.protocol import PROTOCOLS
-from appl_dist.actor.timing import IDEAL, TimingSettings
 from appl_dist.actor.worldset import select_worlds
+from appl_dist.config import load
 from appl_dist.errors import UserError
 from appl_dist.evaluate.progress import show_progress
 from appl_dist.evaluate.runner import NavigationRunner, make_methods
@@ -42,7 +42,7 @@ from appl_dist.evaluate.trials import Job, Method, Trial, run_jobs, trial_seed
 from appl_dist.files import write_atomic
 from appl_dist.spec import DWA
 
-TIMINGS = {"gazebo": TimingSettings(), "robot": TimingSettings(cpu_factor=6.0), "ideal": IDEAL}
+TIMINGS = ("gazebo", "robot", "ideal")
 # Trial numbers of the three stages, hence their seeds, never meet.
 TUNE, CHOOSE, MEASURE = 0, 10_000, 20_000
 
@@ -79,7 +79,9 @@ def measure(timing: str, options: argparse.Namespace) -> dict[str, Any]:
     test = test[:: max(1, len(test) // options.test_count)][: options.test_count]
     methods = {m.label: m for m in make_methods(list(candidates(options.sets, rng).items()))}
     protocol = PROTOCOLS["appl"]
-    environment = {"protocol": protocol, "timing": TIMINGS[timing]}
+    # `ideal` is the loop of the reference episodes, whose robot did exactly what it was told.
+    settings = load([f"timing={timing}", *(["robot.drive=ideal"] if timing == "ideal" else [])])
+    environment = {"protocol": protocol, "timing": settings.timing, "robot": settings.robot}
     worlds = tuple({w.index: w for w in train + test}.values())
     make_runner = NavigationRunner(worlds, tuple(methods.values()), environment)
     path = Path(options.folder) / f"trials-{timing}.csv"
@@ -209,6 +211,7 @@ def _one(by_method: Mapping[str, Any]) -> Any:
     return type(parts[0])(
         times_s={w: v for p in parts for w, v in p.times_s.items()},
         trials={w: v for p in parts for w, v in p.trials.items()},
+        rows={w: v for p in parts for w, v in p.rows.items()},
         successes={w: v for p in parts for w, v in p.successes.items()},
     )
 
@@ -226,7 +229,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--train", default="train", help="worlds to tune on")
     parser.add_argument("--test", default="test", help="worlds to report on")
     parser.add_argument("--test-count", type=int, default=20, help="how many of these, evenly spread")
-    parser.add_argument("--timings", nargs="+", default=["gazebo", "ideal"], choices=list(TIMINGS))
+    parser.add_argument("--timings", nargs="+", default=["gazebo", "ideal"], choices=TIMINGS)
     parser.add_argument("--sets", type=int, default=32, help="parameter sets tried, default and fast included")
     parser.add_argument("--first-trials", type=int, default=8, help="trials a set before the first halving")
     parser.add_argument("--choose-trials", type=int, nargs="+", default=[2, 6], help="trials a set, per world")

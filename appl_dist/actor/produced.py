@@ -57,8 +57,8 @@ class ProducedLog:
     killed between the two writes) is added.
     """
 
-    def __init__(self, folder: Path, pending: dict[int, Receipt]) -> None:
-        path = folder / FILE
+    def __init__(self, folder: Path, pending: dict[int, Receipt], sync: bool = False) -> None:
+        path, self._sync = folder / FILE, sync
         entries = read_produced(path)
         by_digest = {entry.digest: entry for entry in entries}
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -104,6 +104,8 @@ class ProducedLog:
         if os.write(self._file, line) != len(line):
             os.ftruncate(self._file, size)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if self._sync:
+            os.fdatasync(self._file)
 
     def _cut_torn_line(self) -> None:
         size = os.fstat(self._file).st_size

@@ -5,8 +5,8 @@ it was driving. Bounded in count and bytes: a full spool blocks `put`, which is 
 holds its actors back. One process at a time owns a folder. `produced.log` beside them accounts for every
 rollout that ever was in it (`produced.py`).
 
-A file is a CRC-32 and the blob. Files are not synced: they outlive the process, not a power cut; a file that
-one tore is found by its checksum at the next start and dropped.
+A file is a CRC-32 and the blob. Unless `sync` is wanted files outlive the process, not a power cut; a file that one
+tore is found by its checksum at the next start and dropped.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Spool:
     """A durable bounded queue of blobs numbered 0, 1, 2, …; first in, first out.
 
     owner: whose rollouts these are, such as "RUN/ACTOR"; a folder of another owner is refused.
-    receipt: what the log notes of a blob.
+    receipt: what the log notes of a blob. sync: what is put is on the disk before it can be sent.
     UserError: folder taken by a running process (SpoolInUse), of another owner, not writable or out of space.
     """
 
@@ -53,6 +53,7 @@ class Spool:
         max_count: int = 256,
         max_bytes: int = 256 << 20,
         receipt: Callable[[bytes], Receipt] = receipts.of_blob,
+        sync: bool = False,
     ) -> None:
         if max_count < 1 or max_bytes < 1:
             raise ValueError(f"max_count, max_bytes: got {max_count}, {max_bytes}; allowed 1 and up")
@@ -61,6 +62,7 @@ class Spool:
         self._max_count = max_count
         self._max_bytes = max_bytes
         self._receipt = receipt
+        self._sync = sync
         self._full = False  # and said so
         self._changed = threading.Condition()
         self._stopped = False
@@ -73,7 +75,7 @@ class Spool:
         try:
             self._next = self._read_counter()
             self._sizes, pending = self._recover()  # pending sequence numbers → bytes, ascending
-            self._log = ProducedLog(self.folder, pending)
+            self._log = ProducedLog(self.folder, pending, sync)
         except OSError as error:
             os.close(self._lock_file)
             raise self._cannot_write(error) from error
@@ -275,7 +277,7 @@ class Spool:
         self._write(self.folder / "spool.json", json.dumps(values).encode())
 
     def _write(self, path: Path, data: bytes) -> None:
-        write_atomic(path, data)
+        write_atomic(path, data, sync=self._sync)
 
     def _cannot_write(self, error: OSError) -> UserError:
         return UserError(f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder")

@@ -31,10 +31,10 @@ def actors(settings: Settings) -> int:
     stop = stop_event()
     name = settings.actor.id or f"{settings.wire.identity or ACTOR}-{socket.gethostname()}"
     run = Path(settings.actor.run) if settings.actor.run else None
+    where = whereabouts(run) if run else Whereabouts(settings.wire.endpoint, ended=False)
     logs = (run or Path()) / "logs"
     logs.mkdir(parents=True, exist_ok=True)
     crew = [Child(f"{name}-{i}", [], logs / f"{name}-{i}.log") for i in range(settings.actors or cores())]
-    where = Whereabouts("", ended=False) if run else Whereabouts(settings.wire.endpoint, ended=False)
     started, look_at = "", 0.0
     try:
         while not stop.is_set():

@@ -112,6 +112,8 @@ def _actor_of(folder: Path) -> str:
 
 def run_ledger(folder: Path, elsewhere: Iterable[Path] = ()) -> Ledger:
     """The ledger of a run folder; `elsewhere` are spool folders, or folders of them, that are not in it."""
+    if not (folder / "replay").is_dir():
+        raise UserError(f"ledger: {folder} is no run's folder: it holds no replay")
     roots = [folder / "spool", *elsewhere]
     missing = [root for root in roots[1:] if not root.is_dir()]
     if missing:

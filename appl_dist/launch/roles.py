@@ -22,6 +22,7 @@ from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts, worlds_of
+from appl_dist.planner.parameters import Arithmetic
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -42,14 +43,14 @@ LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not sta
 HELD_ROLLOUTS = 2  # an actor that the learner told to wait stops collecting at this many unsent rollouts
 
 
-def environment_arguments(settings: Settings) -> dict[str, Any]:
-    """Arguments of `NavigationEnv` beside the worlds and the protocol."""
+def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = None) -> dict[str, Any]:
+    """Arguments of `NavigationEnv` beside the worlds and the protocol; arithmetic: instead of the planner's own."""
     return {
         "decision_period_s": settings.env.decision_period_s,
         "space": SPACES[settings.env.space],
         "timing": settings.timing,
         "rewards": settings.reward,
-        "planner": settings.planner,
+        "planner": replace(settings.planner, arithmetic=arithmetic or settings.planner.arithmetic),
         "robot": settings.robot,
         "lidar": settings.lidar,
     }
@@ -123,6 +124,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         space=SPACES[settings.env.space],
         failed_time_s=settings.protocol.failed_time_s,
         sigma=lambda n: settings.explore.sigma(n, settings.run.transitions),
+        sync=settings.run.sync,
     )
     return Learner(bus, run, settings.learner)
 
@@ -149,7 +151,7 @@ def actor(settings: Settings) -> int:
             drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
             return 0
         frozen = from_dict(served)
-        with open_spool(own, frozen.actor, run_id, identity) as spool:
+        with open_spool(own, frozen.actor, run_id, identity, frozen.run.sync) as spool:
             act_in_run(frozen, session, run_id, spool, stop.is_set)
     return 0
 
@@ -171,27 +173,29 @@ def _who(settings: Settings) -> tuple[ActorSettings, str]:
     return own, name
 
 
-def open_spool(own: ActorSettings, limits: ActorSettings, run_id: str, identity: str = ACTOR) -> Spool:
+def open_spool(
+    own: ActorSettings, limits: ActorSettings, run_id: str, identity: str = ACTOR, sync: bool = False
+) -> Spool:
     """The spool of the actor that `own` describes, as large as `limits` says; its owner's name is the actor's id.
 
-    Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has.
+    sync: see `RunSettings`. Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has.
     """
     root = Path(own.run) / "spool" if own.run else Path("spool") / run_id
     if own.id:
-        return _spool(Path(own.spool or root / own.id), own.id, limits, run_id)
+        return _spool(Path(own.spool or root / own.id), own.id, limits, run_id, sync)
     # Where a dead actor's rollouts wait comes first, so that they are sent by whoever takes its place.
     names = [f"{identity}-{i}" for i in range(MAX_ACTORS)]
     waiting = {path.parent.name for path in root.glob(f"{identity}-*/*.rollout")}
     for name in sorted(names, key=lambda n: n not in waiting):
         try:
-            return _spool(root / name, name, limits, run_id)
+            return _spool(root / name, name, limits, run_id, sync)
         except SpoolInUse:
             continue
     raise UserError(f"actor.id: all {MAX_ACTORS} names in {root} are in use; give this actor an id")
 
 
-def _spool(folder: Path, actor_id: str, limits: ActorSettings, run_id: str) -> Spool:
-    return Spool(folder, f"{run_id}/{actor_id}", limits.spool_rollouts, limits.spool_megabytes << 20)
+def _spool(folder: Path, actor_id: str, limits: ActorSettings, run_id: str, sync: bool) -> Spool:
+    return Spool(folder, f"{run_id}/{actor_id}", limits.spool_rollouts, limits.spool_megabytes << 20, sync=sync)
 
 
 def act_in_run(
@@ -210,7 +214,7 @@ def act_in_run(
     env = NavigationEnv(
         worlds_of(settings, settings.world.train),
         protocol=settings.protocol,
-        **environment_arguments(settings),
+        **environment_arguments(settings, settings.env.training_arithmetic),
     )
     uploader = Uploader(bus, run_id, actor_id, spool)
     control = ControlClient(bus, run_id)

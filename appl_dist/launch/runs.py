@@ -51,7 +51,7 @@ def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Pa
     if not exists:
         worlds_of(settings, settings.world.train)  # a wrong path is told here, not by every actor
         worlds_of(settings, settings.evaluation.worlds)
-    write_atomic(folder / CONFIG_FILE, json.dumps(as_dict(settings), indent=2))
+    write_atomic(folder / CONFIG_FILE, json.dumps(as_dict(settings), indent=2), sync=True)
     return settings, folder
 
 
@@ -78,7 +78,9 @@ def announce_gone(folder: Path, ended: bool) -> None:
 
 
 def whereabouts(folder: Path) -> Whereabouts:
-    """What was written down last; no endpoint if nothing was."""
+    """What was written down last; no endpoint if nothing was. UserError: there is no such folder."""
+    if not folder.is_dir():
+        raise UserError(f"actor.run: no folder at {folder}; it is a run's, as the learner has it (run.folder)")
     try:
         values = json.loads((folder / LEARNER_FILE).read_text())
         return Whereabouts(str(values["endpoint"]), bool(values["ended"]))

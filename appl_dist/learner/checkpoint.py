@@ -24,6 +24,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from appl_dist.errors import UserError
+from appl_dist.files import to_disk
 from appl_dist.learner.td3 import TD3, Diverged
 
 log = logging.getLogger(__name__)
@@ -137,9 +138,9 @@ class Checkpoints:
                 if tensor.is_floating_point() and not torch.isfinite(tensor).all():
                     raise Diverged(f"{name} holds a value that is not finite; {path.name} was not written")
             save_file(self._buffers, tmp, {"appl_checkpoint": header})
-            with open(tmp, "rb") as file:
-                os.fsync(file.fileno())
+            to_disk(tmp)
             os.replace(tmp, path)
+            to_disk(self.folder)
             for old in sorted(self.folder.glob(_PATTERN))[: -self._keep]:
                 old.unlink()
         except (OSError, SafetensorError) as e:

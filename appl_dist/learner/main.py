@@ -73,6 +73,7 @@ class Run:
     space: ParameterSpace
     failed_time_s: float
     sigma: Callable[[int], float]  # exploration noise after so many transitions, for the status
+    sync: bool = False  # what is acknowledged is on the disk
 
 
 class Learner:
@@ -82,7 +83,7 @@ class Learner:
         self.run_info, self.settings = run, settings
         self.replay = Replay(
             run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma,
-            priority_exponent=settings.priority_exponent,
+            priority_exponent=settings.priority_exponent, sync=run.sync,
         )  # fmt: skip
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
@@ -102,6 +103,7 @@ class Learner:
         self._status = self._status_now()
         self.ingest = Ingest(self.replay, self.limiter, run.run_id)
         self.publisher = WeightsPublisher(bus, run.run_id)
+        self._published_updates = -1
         self._publish()
         self.roster = Roster(bus, run.run_id)
         self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
@@ -201,7 +203,7 @@ class Learner:
             self.version = int(_number(path, found, "version"))
             self._started -= _number(path, found, "elapsed_s")
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
-        write_atomic(file, json.dumps({"epoch": epoch}))
+        write_atomic(file, json.dumps({"epoch": epoch}), sync=True)
         return epoch
 
     def _counts(self) -> dict[str, Any]:
@@ -240,6 +242,10 @@ class Learner:
         )  # fmt: skip
 
     def _publish(self) -> None:
+        """A new version, unless the last one has these weights."""
+        if self.td3.updates == self._published_updates:
+            return
+        self._published_updates = self.td3.updates
         self.version += 1
         self.statistics.current = (self.epoch, self.version)
         try:

@@ -6,7 +6,8 @@ the least exploration noise: benchmarks/replay.py); the rest is float32. A row i
 transitions take 4.1 GB. Rows are memory-mapped (`folder`) or plain memory (`folder` None).
 
 Durable against kill -9 at any instruction: evict (one counter), rows, index entry, then one aligned 8-byte
-store of the rollout count commits. What is not counted was never there; what was acknowledged is. The
+store of the rollout count commits. What is not counted was never there; what was acknowledged is. With
+`sync` each of these steps is on the disk before the next, which makes it durable against a power cut. The
 expected sequence number of every actor comes from the index, and from a floor kept per actor for rollouts
 the ring has overwritten.
 """
@@ -64,8 +65,8 @@ class Replay:
     """A ring of rollouts holding at most `capacity` transitions (fewer if rollouts average under 16 each).
 
     One thread may insert while another samples. priority_exponent 0 samples uniformly, above it by TD error
-    (`priorities.py`). UserError if `folder` holds a replay of another shape, is
-    in use, or its disk is full.
+    (`priorities.py`). sync: `insert` returns when the rollout is on the disk. UserError if `folder` holds a replay of
+    another shape, is in use, or its disk is full.
     """
 
     def __init__(
@@ -80,6 +81,7 @@ class Replay:
         action_size: int = 8,
         scan_dtype: str = "uint8",
         priority_exponent: float = 0.0,
+        sync: bool = False,
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: got {capacity} transitions; at least 1")
@@ -90,6 +92,7 @@ class Replay:
         if not 0.0 <= priority_exponent <= 1.0:
             raise ValueError(f"priority_exponent: got {priority_exponent}; allowed 0..1")
         self.capacity, self.n_step, self.gamma = capacity, n_step, gamma
+        self._sync = sync
         self.layout = RowLayout(observation_size, scan_size, action_size, scan_dtype)
         self._rows_count = capacity + capacity // 16 + 1
         self.folder = None if folder is None else Path(folder)
@@ -163,7 +166,7 @@ class Replay:
     # ---- in
 
     def insert(self, rollout: Rollout, actor_id: str, seq: int) -> bool:
-        """Store a rollout; on return it survives kill -9. False: a repeat, already stored.
+        """Store a rollout; on return it survives kill -9, with `sync` a power cut too. False: a repeat, already stored.
 
         ValueError: a rollout that cannot be, or a gap in the sequence. UserError: no room on disk; nothing
         changed, so the same call can be repeated.
@@ -212,6 +215,7 @@ class Replay:
                 self._rows.data["left"][ring - gap :] = 0
             self._rows.data[begin : begin + len(rows)] = rows
             self._index.data[entry] = (seq, start + gap, self._total + n, n, slot)
+            self._to_disk(self._rows, self._index, self._actors)
             self._header.data["inserted"][0] = self.rollouts_total + 1  # the commit
             if self._priorities is not None:
                 self._priorities.enter(begin, n)
@@ -219,20 +223,30 @@ class Replay:
             self._tail = self._start_of(int(self._header.data["evicted"][0]))
             self._total += n
             self._stored += n
+        self._to_disk(self._header)
+
+    def _to_disk(self, *arrays: MappedArray) -> None:
+        if self._sync:
+            for array in arrays:
+                array.sync()
 
     def _evict(self, first_row: int, surplus: int) -> None:
         """Drop the oldest rollouts: those that start before virtual row `first_row`, then `surplus` more."""
-        inserted, evicted = self.rollouts_total, int(self._header.data["evicted"][0])
+        inserted, before = self.rollouts_total, int(self._header.data["evicted"][0])
+        evicted = before
         while evicted < inserted and (self._tail < first_row or surplus > 0):
             old = self._index.data[evicted % len(self._index.data)]
             self._actors.data["floor"][old["actor"]] = old["seq"] + 1  # before the index can forget it
             evicted += 1
-            self._header.data["evicted"][0] = evicted
             if self._priorities is not None:
                 self._priorities.leave(int(old["start"]) % self._rows_count, int(old["length"]))
             self._stored -= int(old["length"])
             surplus -= int(old["length"])
             self._tail = self._start_of(evicted) if evicted < inserted else self._head
+        if evicted > before:
+            self._to_disk(self._actors)
+            self._header.data["evicted"][0] = evicted
+            self._to_disk(self._header)
 
     def _start_of(self, number: int) -> int:
         return int(self._index.data["start"][number % len(self._index.data)])

@@ -115,7 +115,7 @@ class FolderClaim:
 
     def complete(self) -> None:
         """Record, once every file exists, what they are for."""
-        write_atomic(self.folder / "meta.json", json.dumps(self.meta))
+        write_atomic(self.folder / "meta.json", json.dumps(self.meta), sync=True)
 
     def release(self) -> None:
         """Let another process have the folder."""

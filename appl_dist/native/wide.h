@@ -7,3 +7,6 @@
 #else
 #define WIDE
 #endif
+
+// What such functions are made of has to become part of each version.
+#define ALWAYS_INLINE static inline __attribute__((always_inline))

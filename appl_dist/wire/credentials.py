@@ -12,6 +12,7 @@ machine only the folder of its own identity. Everything is readable by its owner
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,10 +40,12 @@ class Identity:
         return self.folder.name
 
     def path(self, file: str) -> str:
-        """Absolute path of one of its files; UserError if it is not there."""
+        """Absolute path of one of its files; UserError if it is not there, or not for this user to read."""
         path = self.folder / file
-        if not path.is_file():
+        if os.access(self.folder, os.X_OK) and not path.is_file():
             raise UserError(f"wire.keys: no file at {path}; `appl-dist keys {self.folder.parent}` makes it")
+        if not os.access(path, os.R_OK):
+            raise UserError(f"wire.keys: user {os.geteuid()} may not read {path}; chown it to that user")
         if file in _SECRET and path.stat().st_mode & 0o077:
             log.warning("%s can be read by others; chmod 600 it", path)
         return str(path.resolve())

@@ -63,6 +63,8 @@ def test_nothing_received_can_hurt(tmp_path: Path, caplog: pytest.LogCaptureFixt
         assert errors == ""
         sent.update(json.loads(out))
     print(f"{MESSAGES} messages in {took_s:.0f} s beside {stored_meanwhile} good rollouts: {dict(sent)}; {counts}")
+    total = ledger.total()
+    print(f"| {MESSAGES} messages | {total.sent} | {total.lost} | {total.duplicate} | {took_s:.0f} s |")
     assert sum(sent.values()) == MESSAGES
     assert ledger.agrees, ledger.sentence()
     assert set(ledger.accounts) == {"a0"}

@@ -69,6 +69,36 @@ def test_rollouts_equal_the_plain_python(scene):
     _, _, sample, points = found[True]
     np.testing.assert_allclose(sample, [best.v, best.w, best.cost], rtol=0, atol=2e-6)
     assert len(points) == len(best.points)
+    path, goal = planner.wavefronts()
+    np.testing.assert_array_equal(path, scorer.path)
+    np.testing.assert_array_equal(goal, scorer.goal)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([45, 64, 133, 200, 240]), st.integers(1, 100), st.integers(1, 90))
+def test_the_search_takes_what_scoring_every_sample_takes(seed, side, speeds, rates):
+    """Any number of samples, also more than are searched at a time, and any width of map."""
+    rng = np.random.default_rng(seed)
+    half = side * 0.05 / 2
+    lethal = np.zeros((side, side), np.uint8)
+    for x, y in rng.integers(0, side, (int(rng.integers(0, 1 + side // 4)), 2)):
+        lethal[y : y + 3, x : x + 3] = 254
+    heading = rng.uniform(-np.pi, np.pi)
+    bends = np.cumsum(rng.normal(0, 0.1, 90)) + heading
+    plan = np.cumsum(np.stack([np.cos(bends), np.sin(bends)], 1) * rng.uniform(0.02, 0.07), 0)
+    origin = tuple(-half + rng.uniform(-0.05, 0.05, 2))
+    pose, twist = np.array([*rng.normal(0, 0.1, 2), heading]), rng.uniform([-0.5, -3], [2, 3])
+    values = np.array([*rng.uniform([0.2, 0.4], [2, 3]), speeds, rates, *rng.uniform(0, [1, 1.5, 2, 0.5])])
+    found = []
+    for trace in (False, True):
+        planner = _native.Planner(PlannerSettings(local_size_m=side * 0.05), values)
+        planner.reset(np.zeros(3))
+        inflated(planner, lethal, origin)
+        planner.set_plan(plan, 0.0)
+        ok, command, _ = planner.local_command(pose, twist, trace)
+        waves = planner.wavefronts().tolist() if not np.isnan(planner.best_sample()).all() else None
+        found.append((ok, command.tolist(), planner.best_sample().tolist(), planner.best().tolist(), waves))
+    assert found[0] == found[1] or np.isnan(found[1][2]).all()
 
 
 def _local_part(plan, pose):

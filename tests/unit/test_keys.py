@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import stat
 from pathlib import Path
 
@@ -87,3 +88,12 @@ def test_open_files_are_warned_about(tmp_path: Path, caplog: pytest.LogCaptureFi
     (tmp_path / "actor" / "password").chmod(0o644)
     find(str(tmp_path), "actor").password()
     assert "can be read by others; chmod 600 it" in caplog.text
+
+
+def test_a_file_that_this_user_may_not_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_keys(tmp_path, [], [])
+    secret = tmp_path / "learner" / "users"
+    allowed = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: path != secret and allowed(path, mode))  # root may read all
+    with pytest.raises(UserError, match=rf"wire\.keys: user \d+ may not read {secret}; chown it"):
+        find(str(tmp_path), "learner").users()

@@ -5,16 +5,15 @@
 
 #include "wide.h"
 
-#define INLINE static inline __attribute__((always_inline))
 
-INLINE float widen(uint16_t half) {
+ALWAYS_INLINE float widen(uint16_t half) {
     const uint32_t bits = (uint32_t)half << 16;
     float x;
     memcpy(&x, &bits, sizeof x);
     return x;
 }
 
-INLINE uint16_t narrow(float x) {
+ALWAYS_INLINE uint16_t narrow(float x) {
     uint32_t bits;
     memcpy(&bits, &x, sizeof bits);
     const uint32_t rounded = (bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16;
@@ -22,7 +21,7 @@ INLINE uint16_t narrow(float x) {
 }
 
 /* grad16 and copy16 are constants where this is inlined, so each case is a loop without branches. */
-INLINE void adam_loop(const adam_rates *r, size_t n, float *restrict p, const float *restrict grad32,
+ALWAYS_INLINE void adam_loop(const adam_rates *r, size_t n, float *restrict p, const float *restrict grad32,
                       const uint16_t *restrict grad16, float *restrict m, float *restrict v,
                       uint16_t *restrict copy16) {
     const adam_rates k = *r;
@@ -47,7 +46,7 @@ WIDE void adam_step(const adam_rates *rates, size_t n, float *p, const float *gr
         adam_loop(rates, n, p, grad32, NULL, m, v, NULL);
 }
 
-INLINE void polyak_loop(float tau, size_t n, float *restrict target, const float *restrict p,
+ALWAYS_INLINE void polyak_loop(float tau, size_t n, float *restrict target, const float *restrict p,
                         uint16_t *restrict copy16) {
     for (size_t i = 0; i < n; ++i) {
         target[i] += tau * (p[i] - target[i]);

@@ -2,17 +2,6 @@
 
 #include <string.h>
 
-typedef struct {
-    double min_x, min_y, max_x, max_y;
-} bounds;
-
-static inline void touch(bounds *b, double x, double y) {
-    if (x < b->min_x) b->min_x = x;
-    if (y < b->min_y) b->min_y = y;
-    if (x > b->max_x) b->max_x = x;
-    if (y > b->max_y) b->max_y = y;
-}
-
 void costmap_clear(costmap *m, double origin_x, double origin_y) {
     const size_t cells = (size_t)m->frame.w * (size_t)m->frame.h;
     m->frame.ox = origin_x, m->frame.oy = origin_y;
@@ -54,78 +43,6 @@ static void follow(costmap *m, double x, double y) {
     shift_map(m->master, g->w, g->h, dx, dy);
 }
 
-// Frees the cells between sensor and hit, at most `reach` cells of them (Costmap2D::raytraceLine).
-static inline void clear_line(costmap *m, int x0, int y0, int x1, int y1, int reach) {
-    const int dx = x1 - x0, dy = y1 - y0;
-    const grid_line l = line_between(x0, y0, x1, y1);
-    int steps = l.steps;
-    if (dx * dx + dy * dy >= reach * reach) {
-        const double scale = fmin(1.0, reach / hypot(dx, dy));
-        steps = (int)(scale * l.steps);
-    }
-    const int w = m->frame.w, every = l.dx2 + l.dy2 * w, extra = l.dx1 + l.dy1 * w;
-    uint8_t *at = m->obstacles + y0 * w + x0;
-    int num = l.num;
-    *at = COST_FREE;
-    for (int i = 0; i < steps; ++i) {
-        num += l.add;
-        const bool over = num >= l.den;
-        num -= over ? l.den : 0;
-        at += every + (over ? extra : 0);
-        *at = COST_FREE;
-    }
-}
-
-static void raytrace(costmap *m, const observation *seen, double range, bounds *b) {
-    const grid_frame *g = &m->frame;
-    int x0, y0;
-    if (!world_to_map(g, seen->ox, seen->oy, &x0, &y0)) return;
-    const double end_x = g->ox + g->w * g->res, end_y = g->oy + g->h * g->res;
-    const int reach = cell_distance(range, g->res);
-    int last_x = -1, last_y = -1;
-    touch(b, seen->ox, seen->oy);
-    for (int i = 0; i < seen->count; ++i) {
-        double wx = seen->x[i], wy = seen->y[i];
-        const double a = wx - seen->ox, c = wy - seen->oy;
-        if (wx < g->ox) {
-            wy = seen->oy + c * ((g->ox - seen->ox) / a);
-            wx = g->ox;
-        }
-        if (wy < g->oy) {
-            wx = seen->ox + a * ((g->oy - seen->oy) / c);
-            wy = g->oy;
-        }
-        if (wx > end_x) {
-            wy = seen->oy + c * ((end_x - seen->ox) / a);
-            wx = end_x - .001;
-        }
-        if (wy > end_y) {
-            wx = seen->ox + a * ((end_y - seen->oy) / c);
-            wy = end_y - .001;
-        }
-        int x1, y1;
-        if (!world_to_map(g, wx, wy, &x1, &y1)) continue;
-        // Neighbouring beams often end in the same cell.
-        if (x1 != last_x || y1 != last_y) clear_line(m, x0, y0, x1, y1, reach);
-        last_x = x1, last_y = y1;
-        const double dx = wx - seen->ox, dy = wy - seen->oy;
-        const bool beyond = dx * dx + dy * dy >= 0.999 * range * range;
-        const double scale = beyond ? fmin(1.0, range / hypot(dx, dy)) : 1.0;
-        touch(b, seen->ox + dx * scale, seen->oy + dy * scale);
-    }
-}
-
-static void mark(costmap *m, const observation *seen, double range, bounds *b) {
-    for (int i = 0; i < seen->count; ++i) {
-        const double px = seen->x[i], py = seen->y[i];
-        const double square = (px - seen->ox) * (px - seen->ox) + (py - seen->oy) * (py - seen->oy);
-        int x, y;
-        if (!(square < range * range) || !world_to_map(&m->frame, px, py, &x, &y)) continue;
-        m->obstacles[y * m->frame.w + x] = COST_LETHAL;
-        touch(b, px, py);
-    }
-}
-
 static void clear_footprint(costmap *m, const footprint_shape *shape, const double pose[3]) {
     footprint_columns robot;
     if (!footprint_fill(shape, &m->frame, pose[0], pose[1], pose[2], &robot)) return;
@@ -140,11 +57,10 @@ void costmap_update(costmap *m, inflation_scratch *scratch, const planner_settin
     if (m->rolling) follow(m, pose[0], pose[1]);
 
     bounds b = {pose[0], pose[1], pose[0], pose[1]};
-    raytrace(m, seen, set->raytrace_range, &b);
-    mark(m, seen, set->obstacle_range, &b);
+    obstacles_observe(m->obstacles, g, seen, set->raytrace_range, set->obstacle_range, &b);
     const double c = cos(pose[2]), s = sin(pose[2]);
     for (int i = 0; i < FOOTPRINT_CORNERS; ++i)
-        touch(&b, pose[0] + (shape->x[i] * c - shape->y[i] * s), pose[1] + (shape->x[i] * s + shape->y[i] * c));
+        bounds_touch(&b, pose[0] + (shape->x[i] * c - shape->y[i] * s), pose[1] + (shape->x[i] * s + shape->y[i] * c));
     inflation_bounds(&m->inflate, &b.min_x, &b.min_y, &b.max_x, &b.max_y);
 
     const int x0 = world_to_map_clamped(b.min_x, g->ox, w, g->res), y0 = world_to_map_clamped(b.min_y, g->oy, h, g->res);

@@ -3,13 +3,7 @@
 #pragma once
 #include "footprint.h"
 #include "inflation.h"
-
-// One lidar scan as points. Points are float32, as in the PointCloud2 that carries them in ROS.
-typedef struct {
-    double ox, oy;    // m, odom: the sensor
-    float *x, *y;     // (count) m, odom
-    int count;
-} observation;
+#include "obstacles.h"
 
 typedef struct {
     int x0, y0, xn, yn;  // columns [x0, xn), rows [y0, yn)

@@ -7,33 +7,48 @@ footprint_shape footprint_make(double half_length, double half_width, double pad
     return (footprint_shape){.x = {-l, -l, l, l}, .y = {-w, w, w, -w}, .reach = hypot(l, w)};
 }
 
-// Highest cost on a line, or -1 (CostmapModel::lineCost, pointCost).
-static inline int line_cost(const grid_frame *g, const uint8_t *cost, grid_cell a, grid_cell b) {
-    int worst = 0;
-    grid_line l = line_between(a.x, a.y, b.x, b.y);
-    for (int i = 0;; ++i) {
-        const int c = cost[l.y * g->w + l.x];
-        if (c >= COST_LETHAL) return -1;
-        if (c > worst) worst = c;
-        if (i == l.steps) return worst;
-        line_advance(&l);
-    }
+int footprint_line_reach(const footprint_shape *f, double res) {
+    return (int)ceil(2 * fmax(fabs(f->x[0]), fabs(f->y[0])) / res) + 1;
 }
 
-int footprint_outline_cost(const footprint_shape *f, const grid_frame *g, const uint8_t *cost, double x, double y,
-                           double cos_th, double sin_th) {
+void footprint_lines_make(footprint_lines *l, int reach, int row) {
+    l->reach = reach;
+    for (int dy = -reach; dy <= reach; ++dy)
+        for (int dx = -reach; dx <= reach; ++dx) {
+            int16_t *to = l->cells + footprint_line_at(l, dx, dy);
+            grid_line line = line_between(0, 0, dx, dy);
+            for (int i = 0; i <= reach; ++i) {
+                to[i] = (int16_t)(line.y * row + line.x);
+                if (i < line.steps) line_advance(&line);
+            }
+        }
+}
+
+int footprint_outline_cost(const footprint_shape *f, const footprint_lines *l, const grid_frame *g,
+                           const uint8_t *cost, double x, double y, double cos_th, double sin_th) {
     grid_cell c[FOOTPRINT_CORNERS];
-    return footprint_corner_cells(f, g, x, y, cos_th, sin_th, c) ? footprint_cells_cost(g, cost, c) : -1;
+    return footprint_corner_cells(f, g, x, y, cos_th, sin_th, c) ? footprint_cells_cost(l, g, cost, c) : -1;
 }
 
-int footprint_cells_cost(const grid_frame *g, const uint8_t *cost, const grid_cell c[FOOTPRINT_CORNERS]) {
-    int worst = 0;
+// All four lines at a time, all to the same length: no branch depends on the pose.
+int footprint_cells_cost(const footprint_lines *l, const grid_frame *g, const uint8_t *cost,
+                         const grid_cell c[FOOTPRINT_CORNERS]) {
+    const uint8_t *from[FOOTPRINT_CORNERS];
+    const int16_t *line[FOOTPRINT_CORNERS];
     for (int i = 0; i < FOOTPRINT_CORNERS; ++i) {
-        const int line = line_cost(g, cost, c[i], c[(i + 1) % FOOTPRINT_CORNERS]);
-        if (line < 0) return -1;
-        if (line > worst) worst = line;
+        const grid_cell a = c[i], b = c[(i + 1) % FOOTPRINT_CORNERS];
+        from[i] = cost + a.y * g->w + a.x;
+        line[i] = l->cells + footprint_line_at(l, b.x - a.x, b.y - a.y);
     }
-    return worst;
+    int worst[FOOTPRINT_CORNERS] = {0};
+    for (int k = 0; k <= l->reach; ++k)
+        for (int i = 0; i < FOOTPRINT_CORNERS; ++i) {
+            const int here = from[i][line[i][k]];
+            worst[i] = here > worst[i] ? here : worst[i];
+        }
+    const int a = worst[0] > worst[1] ? worst[0] : worst[1], b = worst[2] > worst[3] ? worst[2] : worst[3];
+    const int most = a > b ? a : b;
+    return most >= COST_LETHAL ? -1 : most;
 }
 
 bool footprint_fill(const footprint_shape *f, const grid_frame *g, double x, double y, double yaw,

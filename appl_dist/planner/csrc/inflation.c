@@ -40,12 +40,24 @@ static void build_kernel(inflation *f) {
     for (int dy = -far; dy <= far; ++dy)
         for (int dx = -far; dx <= far; ++dx) {
             const int column = abs(dx), row = abs(dy);
+            const uint8_t aside = bin_of[row][column + 1], along = bin_of[row + 1][column];
+            const uint8_t to[4] = {dx <= 0 ? aside : 255, dy <= 0 ? along : 255, dx >= 0 ? aside : 255,
+                                   dy >= 0 ? along : 255};
             inflation_moves *m = &f->moves[offset_of(dx, dy)];
-            // Never back towards the obstacle: that cell would lie in an earlier bin.
-            m->left = dx <= 0 ? bin_of[row][column + 1] : 255;
-            m->up = dy <= 0 ? bin_of[row + 1][column] : 255;
-            m->right = dx >= 0 ? bin_of[row][column + 1] : 255;
-            m->down = dy >= 0 ? bin_of[row + 1][column] : 255;
+            *m = (inflation_moves){.bin = {255, 255, 255, 255}};
+            for (uint8_t side = 0; side < 4; ++side)
+                if (to[side] < 255) m->bin[m->count] = to[side], m->side[m->count++] = side;
+        }
+}
+
+static void build_stamp(inflation *f) {
+    const int r = f->cells;
+    f->stamp_width = r < 8 ? 16 : r < 16 ? 32 : INFLATION_STAMP_WIDTH;
+    memset(f->stamp, 0, sizeof f->stamp);
+    for (int dy = -r; dy <= r; ++dy)
+        for (int dx = -r; dx <= r; ++dx) {
+            const double d = hypot(dx, dy);
+            if (d <= r) f->stamp[(dy + r) * f->stamp_width + dx + r] = cost_at(f, d);
         }
 }
 
@@ -58,6 +70,7 @@ bool inflation_set(inflation *f, double radius, double weight, double inscribed,
     if (f->cells > INFLATION_CELLS_MAX) f->cells = INFLATION_CELLS_MAX;
     f->need_reinflation = true;
     build_kernel(f);
+    build_stamp(f);
     return true;
 }
 
@@ -79,42 +92,125 @@ void inflation_bounds(inflation *f, double *min_x, double *min_y, double *max_x,
 
 typedef struct {
     uint8_t *best;
-    inflation_entry *entries;
-    int used, capacity;
-    int32_t head[INFLATION_BINS_MAX], tail[INFLATION_BINS_MAX];
+    inflation_page *unused;
+    inflation_page *first[256];
+    inflation_entry *tail[256], *end[256];  // by bin; that of 255 takes what is not wanted
 } brushfire;
 
-static inline void enqueue(brushfire *b, int bin, int cell, int offset) {
-    if (b->used == b->capacity) return;  // cannot happen: INFLATION_ENTRIES_PER_CELL
-    const int32_t at = b->used++;
-    b->entries[at] = (inflation_entry){cell, -1, (int16_t)offset};
-    if (b->head[bin] < 0) b->head[bin] = at;
-    else b->entries[b->tail[bin]].next = at;
-    b->tail[bin] = at;
+static inflation_page *new_page(brushfire *b, int bin) {
+    inflation_page *page = b->unused++;
+    page->next = NULL;
+    b->tail[bin] = page->entries;
+    b->end[bin] = page->entries + INFLATION_PAGE;
+    return page;
 }
 
-// A cell matters once: first in, in its lowest bin. Later and farther offers are dropped here.
+// A cell matters once: first in, in its lowest bin. Later and farther offers are written, but not kept: whether an
+// offer is wanted is a coin toss, so there is no branch.
 static inline void offer(brushfire *b, uint8_t bin, int cell, int offset) {
-    if (bin >= b->best[cell]) return;
-    b->best[cell] = bin;
-    enqueue(b, bin, cell, offset);
+    const uint8_t best = b->best[cell];
+    const bool wanted = bin < best;
+    b->best[cell] = wanted ? bin : best;
+    inflation_entry *tail = b->tail[bin];
+    *tail = (inflation_entry){cell, offset};
+    b->tail[bin] = tail += wanted;
+    if (tail == b->end[bin]) {
+        inflation_page *full = (inflation_page *)(void *)(tail - INFLATION_PAGE);
+        full->next = new_page(b, bin);
+    }
 }
 
 // `inside`: the fire stays clear of the map's edges.
 static inline void burn(const inflation *f, brushfire *b, uint8_t *map, int w, int h, bool inside) {
-    for (int bin = 0; bin < f->bins; ++bin)
-        for (int32_t at = b->head[bin]; at >= 0; at = b->entries[at].next) {
-            const int cell = b->entries[at].cell, offset = b->entries[at].offset;
-            if (b->best[cell] != bin) continue;
-            const uint8_t cost = f->cost_of_bin[bin];
-            if (map[cell] == COST_UNKNOWN ? cost >= COST_INSCRIBED : map[cell] < cost) map[cell] = cost;
-            const inflation_moves to = f->moves[offset];
-            const int y = inside ? 0 : cell / w, x = inside ? 0 : cell - y * w;
-            if (inside || x > 0) offer(b, to.left, cell - 1, offset - 1);
-            if (inside || y > 0) offer(b, to.up, cell - w, offset - INFLATION_SIDE);
-            if (inside || x < w - 1) offer(b, to.right, cell + 1, offset + 1);
-            if (inside || y < h - 1) offer(b, to.down, cell + w, offset + INFLATION_SIDE);
+    const int step[4] = {-1, -w, 1, w}, turn[4] = {-1, -INFLATION_SIDE, 1, INFLATION_SIDE};
+    for (int bin = 0; bin < f->bins; ++bin) {
+        const uint8_t cost = f->cost_of_bin[bin];
+        for (const inflation_page *page = b->first[bin]; page; page = page->next) {
+            const inflation_entry *end = page->next ? page->entries + INFLATION_PAGE : b->tail[bin];
+            for (const inflation_entry *at = page->entries; at < end; ++at) {
+                const int cell = at->cell, offset = at->offset;
+                if (b->best[cell] != bin) continue;
+                const uint8_t was = map[cell];
+                map[cell] = (was == COST_UNKNOWN ? cost >= COST_INSCRIBED : was < cost) ? cost : was;
+                const inflation_moves *to = &f->moves[offset];
+                if (!inside) {
+                    const int y = cell / w, x = cell - y * w;
+                    const bool open[4] = {x > 0, y > 0, x < w - 1, y < h - 1};
+                    for (int k = 0; k < to->count; ++k)
+                        if (open[to->side[k]]) offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
+                    continue;
+                }
+                if (to->count == 0) continue;
+                for (int k = 0; k < 2; ++k) offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
+                for (int k = 2; k < to->count; ++k)
+                    offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
+            }
         }
+    }
+}
+
+static void run_fire(const inflation *f, inflation_scratch *scratch, uint8_t *map, int w, int h, const int32_t *lethal,
+                     int count, bool inside) {
+    brushfire b = {.best = scratch->best, .unused = scratch->pages};
+    for (int bin = 0; bin < f->bins; ++bin) b.first[bin] = new_page(&b, bin);
+    b.first[255] = new_page(&b, 255);
+    for (int i = 0; i < count; ++i) offer(&b, 0, lethal[i], offset_of(0, 0));
+    if (inside) burn(f, &b, map, w, h, true);
+    else burn(f, &b, map, w, h, false);
+}
+
+static inline void raise_rows(uint8_t *map, int w, const uint8_t *stamp, int rows, int width) {
+    for (int y = 0; y < rows; ++y)
+        for (int x = 0; x < width; ++x) {
+            const uint8_t a = map[y * w + x], b = stamp[y * width + x];
+            map[y * w + x] = a > b ? a : b;
+        }
+}
+
+static void stamp_all(const inflation *f, uint8_t *map, int w, int h, const int32_t *lethal, int count) {
+    const int r = f->cells, side = 2 * r + 1;
+    for (int i = 0; i < count; ++i) {
+        const int y = lethal[i] / w, x = lethal[i] - y * w;
+        if (x >= r && x + r < w && y >= r && y + r < h) {
+            uint8_t *corner = map + (y - r) * w + x - r;
+            switch (f->stamp_width) {
+                case 16: raise_rows(corner, w, f->stamp, side, 16); break;
+                case 32: raise_rows(corner, w, f->stamp, side, 32); break;
+                default: raise_rows(corner, w, f->stamp, side, INFLATION_STAMP_WIDTH); break;
+            }
+            continue;
+        }
+        for (int cy = y > r ? y - r : 0; cy <= y + r && cy < h; ++cy)
+            for (int cx = x > r ? x - r : 0; cx <= x + r && cx < w; ++cx) {
+                const uint8_t cost = f->stamp[(cy - y + r) * f->stamp_width + cx - x + r];
+                if (map[cy * w + cx] < cost) map[cy * w + cx] = cost;
+            }
+    }
+}
+
+// Lethal cells in row-major order, those among others aside: they are nobody's nearest. Sets `unknown` where one is.
+static int find_lethal(const uint8_t *map, int w, int x0, int y0, int xn, int yn, int32_t *out, bool *unknown) {
+    enum { RUN = 32 };
+    int count = 0;
+    for (int y = y0; y < yn; ++y) {
+        const uint8_t *row = map + y * w;
+        for (int from = x0; from < xn; from += RUN) {
+            uint8_t any = 0;
+            for (int x = 0; x < RUN; ++x) any |= row[from + x] >= COST_LETHAL;  // may look into the next row
+            if (!any) continue;
+            for (int x = from; x < from + RUN && x < xn; ++x) {
+                if (row[x] < COST_LETHAL) continue;
+                if (row[x] == COST_UNKNOWN) {
+                    *unknown = true;
+                    continue;
+                }
+                const bool within = x > x0 && y > y0 && x < xn - 1 && y < yn - 1 && row[x - 1] == COST_LETHAL &&
+                                    row[x + 1] == COST_LETHAL && row[x - w] == COST_LETHAL && row[x + w] == COST_LETHAL;
+                if (!within) out[count++] = y * w + x;
+            }
+        }
+    }
+    return count;
 }
 
 static int clampi(int v, int low, int high) { return v < low ? low : v > high ? high : v; }
@@ -126,23 +222,15 @@ void inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map,
     x0 = clampi(x0 - r, 0, w), xn = clampi(xn + r, 0, w);
     y0 = clampi(y0 - r, 0, h), yn = clampi(yn + r, 0, h);
     if (x0 >= xn || y0 >= yn) return;
+    bool unknown = false;
+    const int count = find_lethal(map, w, x0, y0, xn, yn, scratch->lethal, &unknown);
+    if (!unknown && (f->stamps || r <= INFLATION_EXACT_CELLS)) {
+        stamp_all(f, map, w, h, scratch->lethal, count);
+        return;
+    }
     // The fire leaves the window by at most its reach, and looks one cell beyond.
     const int cx0 = clampi(x0 - r - 1, 0, w), cxn = clampi(xn + r + 1, 0, w);
     for (int y = clampi(y0 - r - 1, 0, h); y < clampi(yn + r + 1, 0, h); ++y)
         memset(scratch->best + y * w + cx0, 255, (size_t)(cxn - cx0));
-
-    brushfire b = {.best = scratch->best, .entries = scratch->entries, .capacity = scratch->capacity};
-    memset(b.head, -1, sizeof b.head);
-    for (int y = y0; y < yn; ++y) {
-        const uint8_t *row = map + y * w;
-        for (int x = x0; x < xn; ++x) {
-            const uint8_t *hit = memchr(row + x, COST_LETHAL, (size_t)(xn - x));
-            if (!hit) break;
-            x = (int)(hit - row);
-            scratch->best[y * w + x] = 0;
-            enqueue(&b, 0, y * w + x, offset_of(0, 0));
-        }
-    }
-    if (x0 > r && y0 > r && xn + r < w && yn + r < h) burn(f, &b, map, w, h, true);
-    else burn(f, &b, map, w, h, false);
+    run_fire(f, scratch, map, w, h, scratch->lethal, count, x0 > r && y0 > r && xn + r < w && yn + r < h);
 }

@@ -5,25 +5,39 @@
 #include "settings.h"
 
 enum { INFLATION_BINS_MAX = 250, INFLATION_REACH = INFLATION_CELLS_MAX + 1, INFLATION_SIDE = 2 * INFLATION_REACH + 1 };
+enum { INFLATION_STAMP_ROWS = 2 * INFLATION_CELLS_MAX + 1, INFLATION_STAMP_WIDTH = 48 };
+
+// Up to this reach the fire was found to be an exact distance transform, so that stamping gives the same costs (600
+// random maps and all recorded ones; at 5 cells there is a map where it is not).
+enum { INFLATION_EXACT_CELLS = 4 };
 
 typedef struct {
-    int32_t cell, next;  // the next in the same bin, -1 the last
-    int16_t offset;      // from the obstacle it grew from: row of INFLATION_SIDE, column
+    int32_t cell, offset;  // offset from the obstacle it grew from: row of INFLATION_SIDE, column
 } inflation_entry;
 
-// Where the fire goes from an offset: the bin a neighbour would be in, 255 where it may not go.
+// A piece of a bin's queue.
+enum { INFLATION_PAGE = 63 };
+typedef struct inflation_page {
+    inflation_entry entries[INFLATION_PAGE];
+    struct inflation_page *next;
+} inflation_page;
+
+// Where the fire goes from an offset, in the order left, up, right, down: never back towards the obstacle, as that cell
+// would lie in an earlier bin, and never beyond the reach. Bin 255 goes nowhere.
 typedef struct {
-    uint8_t left, up, right, down;
+    uint8_t count;
+    uint8_t bin[4], side[4];
 } inflation_moves;
 
 // Shared by the maps of one planner; sized for the largest.
 typedef struct {
-    uint8_t *best;             // (h, w) lowest bin a cell waits in or was processed in
-    inflation_entry *entries;  // (capacity)
-    int capacity;
+    uint8_t *best;          // (h, w) lowest bin a cell waits in or was processed in
+    int32_t *lethal;        // (h * w)
+    inflation_page *pages;  // (inflation_pages(h * w))
 } inflation_scratch;
 
-enum { INFLATION_ENTRIES_PER_CELL = 5 };  // itself as an obstacle and once from each side
+// A cell waits at most five times: itself as an obstacle and once from each side.
+static inline int inflation_pages(int cells) { return 5 * cells / INFLATION_PAGE + 2 * INFLATION_BINS_MAX; }
 
 typedef struct {
     double radius, inscribed, weight;  // m, m, 1/m
@@ -31,6 +45,9 @@ typedef struct {
     int cells, bins;                   // reach in cells; distinct distances
     inflation_moves moves[INFLATION_SIDE * INFLATION_SIDE];  // by offset
     uint8_t cost_of_bin[INFLATION_BINS_MAX];
+    bool stamps;             // cells take the cost of their nearest obstacle; the fire misses it for two in ten thousand
+    uint8_t stamp[INFLATION_STAMP_ROWS * INFLATION_STAMP_WIDTH];  // costs around an obstacle, rows of stamp_width
+    int stamp_width;
     bool need_reinflation;
     double last_min_x, last_min_y, last_max_x, last_max_y;  // m, bounds of the previous update
 } inflation;

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "search.h"
+#include "samples.h"
 
 static int cells_of(double metres, double res) { return (int)(metres / res + 0.5); }
 
@@ -65,21 +65,19 @@ void *layout_grab(arena *a, size_t bytes) {
 
 #define GRAB(a, type, count) ((type *)layout_grab(a, sizeof(type) * (size_t)(count)))
 
-static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int w, int h, arena *a) {
+static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int h, arena *a) {
     const double fastest = fmax(VELOCITY_MAX, fabs(s->escape_vel));
     p->steps_max = 2 + (int)fmax(fastest * s->sim_time / s->sim_granularity,
                                  (double)VELOCITY_MAX / s->angular_sim_granularity);
     wavefront *waves[2] = {&p->path, &p->goal};
-    for (int i = 0; i < 2; ++i) {
-        waves[i]->dist = GRAB(a, uint16_t, (h + 2) * WAVE_STRIDE);
-        waves[i]->next_target = GRAB(a, int, (h + 2) * WAVE_STRIDE);
-        for (int b = 0; b < WAVE_BUCKETS; ++b) waves[i]->bucket[b] = GRAB(a, uint16_t, w * h + 1);
-    }
-    const int blocks = (w / SEARCH_BLOCK + 1) * (h / SEARCH_BLOCK + 1);
-    p->search.near_max = GRAB(a, uint8_t, blocks);
-    p->search.near_tmp = GRAB(a, uint8_t, blocks);
-    p->search.candidates = GRAB(a, candidate, SEARCH_SAMPLES);
-    p->search.heap = GRAB(a, int32_t, SEARCH_SAMPLES);
+    for (int i = 0; i < 2; ++i) waves[i]->dist = GRAB(a, uint16_t, h * WAVE_STRIDE);
+    const footprint_shape shape = footprint_make(s->half_length_m, s->half_width_m, s->footprint_padding);
+    const int reach = footprint_line_reach(&shape, s->resolution_m);
+    p->lines.cells = GRAB(a, int16_t, (2 * reach + 1) * (2 * reach + 1) * (reach + 1));
+    p->search.blocks = GRAB(a, sample_block, SEARCH_BLOCKS);
+    p->search.turns = GRAB(a, sample_block, TURN_BLOCKS);
+    for (int k = 0, entries = LOWEST_MAX; k < LOWEST_DEPTH_MAX; ++k, entries /= LOWEST_FAN)
+        p->search.bounds.level[k] = GRAB(a, double, entries);
     rollout *scratch[3] = {&p->one, &p->two, &p->probe};
     for (int i = 0; i < 3; ++i) {
         scratch[i]->x = GRAB(a, double, p->steps_max);
@@ -91,8 +89,8 @@ static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int 
 static void lay_out_map(costmap *m, int cells, double res, bool rolling, arena *a) {
     m->frame = (grid_frame){cells, cells, res, 0, 0};
     m->rolling = rolling;
-    m->obstacles = GRAB(a, uint8_t, cells * cells);
-    m->master = GRAB(a, uint8_t, cells * cells);
+    m->obstacles = GRAB(a, uint8_t, cells * cells + LAYER_PADDING);
+    m->master = GRAB(a, uint8_t, cells * cells + LAYER_PADDING);
 }
 
 void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
@@ -102,17 +100,18 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     lay_out_map(&n->local, local, res, true, a);
     lay_out_map(&n->global, global, res, false, a);
     n->scratch.best = GRAB(a, uint8_t, largest * largest);
-    n->scratch.capacity = INFLATION_ENTRIES_PER_CELL * largest * largest;
-    n->scratch.entries = GRAB(a, inflation_entry, n->scratch.capacity);
+    n->scratch.lethal = GRAB(a, int32_t, largest * largest);
+    n->scratch.pages = GRAB(a, inflation_page, inflation_pages(largest * largest));
 
     navfn *plan = &n->plan;
     plan->w = plan->h = global;
     plan->master = GRAB(a, uint8_t, global * global);
     plan->cost = GRAB(a, uint8_t, global * global);
     plan->potential = GRAB(a, float, global * global);
-    plan->closed = GRAB(a, uint8_t, global * global);
+    plan->step = GRAB(a, float, global * global);
+    plan->remain = GRAB(a, float, global * global);
     plan->reached = GRAB(a, int32_t, global * global + 1);
-    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER + 1);
+    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER + 4);
     plan->path_capacity = 4 * global;
     plan->path_x = GRAB(a, float, plan->path_capacity);
     plan->path_y = GRAB(a, float, plan->path_capacity);
@@ -122,11 +121,13 @@ void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     n->local_plan.plan.capacity = plan->path_capacity + 1;
     n->local_plan.plan.x = GRAB(a, double, plan->path_capacity + 1);
     n->local_plan.plan.y = GRAB(a, double, plan->path_capacity + 1);
-    n->seen.x = GRAB(a, float, s->beams);
-    n->seen.y = GRAB(a, float, s->beams);
+    n->seen.x = GRAB(a, float, s->beams + OBSERVATION_PADDING);
+    n->seen.y = GRAB(a, float, s->beams + OBSERVATION_PADDING);
+    n->seen.marks = GRAB(a, int32_t, s->beams + 1);
+    n->seen.lines = GRAB(a, fan_line, s->beams);
     n->beam_cos = GRAB(a, double, s->beams);
     n->beam_sin = GRAB(a, double, s->beams);
-    lay_out_rollouts(&n->local_plan.rollouts, s, local, local, a);
+    lay_out_rollouts(&n->local_plan.rollouts, s, local, a);
 }
 
 size_t navigator_bytes(const planner_settings *set) {

@@ -7,7 +7,7 @@ enum { NAVFN_BUFFER = 10000 };  // entries a priority buffer holds; more are dro
 
 // Potential by which the bounded wave reaches beyond what it needs; see navfn.c. The small one moves a plan by
 // micrometres as a rule, by millimetres in one of a hundred.
-#define NAVFN_MARGIN_EXACT 1300.0f
+#define NAVFN_MARGIN_EXACT 1600.0f
 #define NAVFN_MARGIN_FAST 100.0f
 
 typedef struct {
@@ -15,11 +15,12 @@ typedef struct {
     uint8_t *master;         // (h, w) the costmap `cost` was made from
     uint8_t *cost;           // (h, w) traversal cost 50..253, 254 blocked; the outer ring is blocked
     float *potential;        // (h, w) 1e10 where no wave came
-    uint8_t *closed;         // (h, w) blocked, or in a buffer already
-    int32_t *buffers[3];     // (NAVFN_BUFFER + 1)
+    float *step;             // (h, w) cost * 1/sqrt(2); infinite for cells blocked or in a buffer already
+    float *remain;           // (h, w) lower bound of what the wave adds from there to the goal's cell
+    int remain_goal;         // the cell `remain` is about, -1 for none
+    int32_t *buffers[3];     // (NAVFN_BUFFER + 4)
     int32_t *reached;        // (h * w + 1) the cells that hold a potential
     int reached_count;
-    double per_row;          // 1 / w
     float *path_x, *path_y;  // (path_capacity) cells, goal first
     int path_capacity;
     // The last plan, and whether it still holds: the wave depends only on costs, start and goal.
@@ -29,13 +30,14 @@ typedef struct {
     int plan_count;
     double *plan;            // (path_capacity + 1, 2) m, odom: robot first
     bool whole;              // no bound: every potential is NavFn's
+    bool single;             // the wave in single precision
     float margin;            // NAVFN_MARGIN_…
     float bound;             // the wave spreads only where it can still matter: see navfn.c
     float goal_potential;    // of the last plan, 0 for none
-    int goal_cx, goal_cy;
-    long cells;              // cells expanded by the wave
+    long cells;              // cells the wave looked at
     uint8_t cost_of[256];
-    float step_of[256];      // cost * 1/sqrt(2)
+    float step_of[256];      // cost * 1/sqrt(2), infinite where blocked
+    float per_cost[256];     // 1 / cost
 } navfn;
 
 void navfn_init(navfn *n);

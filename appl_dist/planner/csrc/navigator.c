@@ -1,6 +1,7 @@
 #include <string.h>
 
 #include "layout.h"
+#include "wide.h"
 
 #define PI 3.14159265358979323846
 
@@ -14,11 +15,14 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
     rollout_planner *r = &n->local_plan.rollouts;
     r->set = &n->set;
     r->shape = n->shape;
+    footprint_lines_make(&r->lines, footprint_line_reach(&n->shape, set->resolution_m), n->local.frame.w);
     for (int i = 0; i < (int)set->beams; ++i) {
         const double angle = -set->angle_max_rad + i * (2 * set->angle_max_rad / ((int)set->beams - 1));
         n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);
     }
+    n->plan.single = fast;
     n->plan.margin = fast ? NAVFN_MARGIN_FAST : NAVFN_MARGIN_EXACT;
+    n->local.inflate.stamps = n->global.inflate.stamps = fast;
     navfn_init(&n->plan);
     navigator_set_parameters(n, par);
     costmap_clear(&n->local, 0, 0);
@@ -63,6 +67,17 @@ void navigator_set_parameters(navigator *n, const planner_parameters *par) {
                       n->set.resolution_m);
 }
 
+WIDE static void project(const float *ranges, const double *beam_cos, const double *beam_sin, int count, double c,
+                         double s, const observation *o) {
+    float *to_x = o->x, *to_y = o->y;
+    for (int i = 0; i < count; ++i) {
+        const double r = ranges[i];
+        const float x = (float)(r * beam_cos[i]), y = (float)(r * beam_sin[i]);
+        to_x[i] = (float)(o->ox + (x * c - y * s));
+        to_y[i] = (float)(o->oy + (x * s + y * c));
+    }
+}
+
 // As the scan reaches the maps in ROS: points in the laser's frame as float32 (LaserProjection), then moved to odom
 // and rounded to float32 again.
 void navigator_add_scan(navigator *n, const float *ranges, const double pose[3]) {
@@ -72,12 +87,12 @@ void navigator_add_scan(navigator *n, const float *ranges, const double pose[3])
     const double c = cos(pose[2]), s = sin(pose[2]);
     o->ox = pose[0] + n->set.laser_x_m * c;
     o->oy = pose[1] + n->set.laser_x_m * s;
-    for (int i = 0; i < (int)n->set.beams; ++i) {
-        const double r = ranges[i];
-        if (!(r > 0 && r < 1e6)) continue;
-        const float x = (float)(r * n->beam_cos[i]), y = (float)(r * n->beam_sin[i]);
-        o->x[o->count] = (float)(o->ox + (x * c - y * s));
-        o->y[o->count] = (float)(o->oy + (x * s + y * c));
+    const int beams = (int)n->set.beams;
+    project(ranges, n->beam_cos, n->beam_sin, beams, c, s, o);
+    for (int i = 0; i < beams; ++i) {
+        if (!(ranges[i] > 0 && ranges[i] < 1e6f)) continue;
+        o->x[o->count] = o->x[i];
+        o->y[o->count] = o->y[i];
         o->count += 1;
     }
 }
@@ -143,7 +158,8 @@ static bool keep_turning(navigator *n, const double pose[3], double out[2]) {
         const double th = pose[2] + ahead;
         int cx, cy;
         if (!world_to_map(&n->local.frame, pose[0], pose[1], &cx, &cy)) return false;
-        if (footprint_outline_cost(&n->shape, &n->local.frame, n->local.master, pose[0], pose[1], cos(th), sin(th)) < 0)
+        if (footprint_outline_cost(&n->shape, &n->local_plan.rollouts.lines, &n->local.frame, n->local.master, pose[0],
+                                   pose[1], cos(th), sin(th)) < 0)
             return false;
     }
     out[1] = fmin(fmax(sqrt(2 * s->acc_lim_theta * left), s->min_in_place_vel_theta), s->rotate_max_vel_theta);

@@ -53,7 +53,8 @@ bool navigator_check_settings(const planner_settings *set, planner_limit *bad);
 bool navigator_check_parameters(const planner_settings *set, const planner_parameters *par, planner_limit *bad);
 
 size_t navigator_bytes(const planner_settings *set);
-// `fast`: plans may differ from those of ROS by what NAVFN_MARGIN_FAST allows.
+// `fast`: plans may differ from those of ROS by what NAVFN_MARGIN_FAST and single precision allow, costs where the
+// brushfire of ROS is no exact distance transform.
 navigator *navigator_init(void *memory, const planner_settings *set, const planner_parameters *par, bool fast);
 void navigator_reset(navigator *n, const double goal[3]);
 void navigator_set_parameters(navigator *n, const planner_parameters *par);

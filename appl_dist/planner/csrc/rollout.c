@@ -3,6 +3,7 @@
 #include <float.h>
 
 #include "search.h"
+#include "turns.h"
 
 void rollout_reset(rollout_planner *p) {
     p->stuck_left = p->stuck_right = p->rotating_left = p->rotating_right = p->escaping = false;
@@ -43,8 +44,9 @@ static void walk_point(plan_walk *walk, double x, double y) {
 static void lay_out_waves(rollout_planner *p, const double *plan_x, const double *plan_y, int n, const motion *m,
                           const grid_box *box) {
     const double res = p->frame.res;
-    wavefront_reset(&p->path, &p->frame, p->cost, box);
-    wavefront_reset(&p->goal, &p->frame, p->cost, box);
+    wavefront_open_cells(&p->frame, p->cost, p->open);
+    wavefront_reset(&p->path, &p->frame, p->open, box);
+    wavefront_reset(&p->goal, &p->frame, p->open, box);
     footprint_columns robot;
     if (footprint_fill(&p->shape, &p->frame, m->x, m->y, m->th, &robot))
         for (int i = 0; i < robot.count; ++i)
@@ -64,6 +66,8 @@ static void lay_out_waves(rollout_planner *p, const double *plan_x, const double
     }
     p->goal_column = walk.goal_x, p->goal_row = walk.goal_y;
     if (walk.started) wavefront_target(&p->goal, walk.goal_x, walk.goal_y);
+    wavefront_start(&p->path);
+    wavefront_start(&p->goal);
 }
 
 static sample_window dynamic_window(const rollout_planner *p, const motion *m) {
@@ -169,7 +173,7 @@ const rollout *rollout_best(rollout_planner *p, const double *plan_x, const doub
         const grid_box ends = search_start(p, &m, &k, !p->escaping);
         lay_out_waves(p, plan_x, plan_y, n, &m, &ends);
         search_best(p, &m, &k, !p->escaping, c.best);
-        if (c.best->cost >= 0) simulate_again(p, m, c.best->v, c.best->w, c.best);
+        if (c.best->cost >= 0) simulate_poses(p, m, c.best->v, c.best->w, c.best);
     }
 
     if (c.best->cost >= 0) {

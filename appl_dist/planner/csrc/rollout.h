@@ -2,6 +2,7 @@
 // dwa: true, heading_scoring, simple_attractor and holonomic_robot: false.
 #pragma once
 #include "footprint.h"
+#include "lowest.h"
 #include "settings.h"
 #include "wavefront.h"
 
@@ -21,30 +22,28 @@ typedef struct {
     int capacity, count;
 } rollout_trace;
 
+enum { SEARCH_BLOCKS = LOWEST_MAX / 16, TURN_BLOCKS = (SAMPLES_MAX + 15) / 16 };
+
 // Scratch of search.c.
 typedef struct {
-    struct candidate *candidates;  // (SEARCH_SAMPLES)
-    int32_t *heap;                 // (SEARCH_SAMPLES) indices of candidates, the lowest bound first
-    int open;                      // of them
-    int used, row, column;         // candidates made; the sample after them
+    struct sample_block *blocks;   // (SEARCH_BLOCKS) forward samples
+    struct sample_block *turns;    // (TURN_BLOCKS) in place
+    lowest_tree bounds;            // of the samples' costs, from below
+    int used;                      // samples in the blocks
+    int row, column;               // the sample after them
     double v, w;
-    uint8_t *near_max;             // (near_h, near_w) highest cost in reach of a robot centred in a block of cells
-    uint8_t *near_tmp;
-    int near_w, near_h;
-    int border;                    // cells; a robot centred farther from the map's edge is inside
     int start_occ;                 // cost of the pose all samples start from
-    double per_res;                // 1/m
 } sample_search;
-
-enum { SEARCH_SAMPLES = 4096, SEARCH_BLOCK = 4 };
 
 typedef struct {
     const planner_settings *set;
     planner_parameters par;
     double pdist, gdist;           // scales in force: times the resolution with meter_scoring
     footprint_shape shape;
+    footprint_lines lines;
     grid_frame frame;              // the local map, valid during one call
     const uint8_t *cost;
+    wave_bits open;                // its cells that are no obstacle
     wavefront path, goal;
     double goal_x, goal_y;         // end of the local plan
     int goal_column, goal_row;     // its cell, or that of the last point on the map

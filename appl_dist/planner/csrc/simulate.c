@@ -7,6 +7,14 @@ int simulate_steps(const rollout_planner *p, double v, double w) {
     return n >= 1 ? (int)n : 1;
 }
 
+static inline void advance(const planner_settings *s, motion *m, double v, double w, double c, double d, double dt) {
+    m->v = towards(v, m->v, s->acc_lim_x * dt);
+    m->w = towards(w, m->w, s->acc_lim_theta * dt);
+    m->x = m->x + m->v * c * dt;
+    m->y = m->y + m->v * d * dt;
+    m->th = m->th + m->w * dt;
+}
+
 void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
     const planner_settings *s = p->set;
     const int n = simulate_steps(p, v, w), impossible = p->frame.w * p->frame.h;
@@ -18,7 +26,7 @@ void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
         int cx, cy;
         if (!world_to_map(&p->frame, m.x, m.y, &cx, &cy)) break;
         const double c = cos(m.th), d = sin(m.th);
-        const int outline = footprint_outline_cost(&p->shape, &p->frame, p->cost, m.x, m.y, c, d);
+        const int outline = footprint_outline_cost(&p->shape, &p->lines, &p->frame, p->cost, m.x, m.y, c, d);
         if (outline < 0) break;
         occ = fmax(fmax(occ, outline), p->cost[cy * p->frame.w + cx]);
         path = wavefront_ros_value(&p->path, cx, cy);
@@ -28,11 +36,7 @@ void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
             break;
         }
         out->x[i] = m.x, out->y[i] = m.y, out->th[i] = m.th;
-        m.v = towards(v, m.v, s->acc_lim_x * dt);
-        m.w = towards(w, m.w, s->acc_lim_theta * dt);
-        m.x = m.x + m.v * c * dt;
-        m.y = m.y + m.v * d * dt;
-        m.th = m.th + m.w * dt;
+        advance(s, &m, v, w, c, d, dt);
     }
     out->points = i;
     if (i == n) out->cost = total_cost(p, path, goal, occ);
@@ -40,6 +44,16 @@ void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
     p->rollout_steps += i < n ? i + 1 : n;
     if (p->trace && p->trace->count < p->trace->capacity)
         p->trace->rows[p->trace->count++] = (rollout_row){v, w, out->cost, path, goal, occ, n, i};
+}
+
+void simulate_poses(const rollout_planner *p, motion m, double v, double w, rollout *out) {
+    const int n = simulate_steps(p, v, w);
+    const double dt = p->set->sim_time / n;
+    out->v = v, out->w = w, out->points = n;
+    for (int i = 0; i < n; ++i) {
+        out->x[i] = m.x, out->y[i] = m.y, out->th[i] = m.th;
+        advance(p->set, &m, v, w, cos(m.th), sin(m.th), dt);
+    }
 }
 
 void simulate_again(rollout_planner *p, motion m, double v, double w, rollout *out) {

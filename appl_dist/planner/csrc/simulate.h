@@ -27,5 +27,8 @@ int simulate_steps(const rollout_planner *p, double v, double w);
 // TrajectoryPlanner::generateTrajectory, word for word in its order of tests.
 void simulate(rollout_planner *p, motion m, double v, double w, rollout *out);
 
-// The same, not counted as work of this cycle.
+// Only the poses of a sample that is legal, and its velocities.
+void simulate_poses(const rollout_planner *p, motion m, double v, double w, rollout *out);
+
+// The whole of it, not counted as work of this cycle.
 void simulate_again(rollout_planner *p, motion m, double v, double w, rollout *out);

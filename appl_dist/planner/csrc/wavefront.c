@@ -1,111 +1,146 @@
 #include "wavefront.h"
 
 #include <string.h>
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
-static void estimate(uint8_t *to, int cells, int low, int high) {
-    for (int i = 0; i < cells + 2; ++i) {
-        const int at = i - 1;
-        to[i] = (uint8_t)(at < low ? low - at : at > high ? at - high : 0);
+#include "wide.h"
+
+static inline uint64_t *word_of(uint64_t *bits, int x, int y) { return bits + (y + 1) * WAVE_WORDS + (x >> 6); }
+static inline uint64_t bit_of(int x) { return (uint64_t)1 << (x & 63); }
+
+// One bit for each of 16 costs: no obstacle.
+static inline uint64_t open_bits(const uint8_t *cost) {
+#ifdef __SSE2__
+    const __m128i dear = _mm_set1_epi8((char)COST_INSCRIBED), c = _mm_loadu_si128((const __m128i *)cost);
+    return ~(unsigned)_mm_movemask_epi8(_mm_cmpeq_epi8(_mm_max_epu8(c, dear), c)) & 0xFFFF;
+#else
+    uint64_t bits = 0;
+    for (int i = 0; i < 16; ++i) bits |= (uint64_t)(cost[i] < COST_INSCRIBED) << i;
+    return bits;
+#endif
+}
+
+void wavefront_open_cells(const grid_frame *frame, const uint8_t *cost, wave_bits open) {
+    const int w = frame->w, h = frame->h;
+    memset(open, 0, sizeof(wave_bits));
+    for (int y = 0; y < h; ++y) {
+        const uint8_t *row = cost + y * w;
+        uint64_t *to = open + (y + 1) * WAVE_WORDS;
+        int x = 0;
+        for (; x + 64 <= w; x += 64)
+            to[x >> 6] = open_bits(row + x) | open_bits(row + x + 16) << 16 | open_bits(row + x + 32) << 32 |
+                         open_bits(row + x + 48) << 48;
+        for (; x + 16 <= w; x += 16) to[x >> 6] |= open_bits(row + x) << (x & 63);
+        if (x == w) continue;
+        uint8_t rest[16];
+        memset(rest, COST_UNKNOWN, sizeof rest);
+        memcpy(rest, row + x, (size_t)(w - x));
+        to[x >> 6] |= open_bits(rest) << (x & 63);
     }
 }
 
-void wavefront_reset(wavefront *m, const grid_frame *frame, const uint8_t *cost, const grid_box *box) {
+void wavefront_reset(wavefront *m, const grid_frame *frame, const wave_bits open, const grid_box *box) {
     m->w = frame->w, m->h = frame->h;
-    m->cost = cost;
-    m->next = m->level = m->last_target = 0;
-    for (int b = 0; b < WAVE_BUCKETS; ++b) m->count[b] = 0;
-    memset(m->targets_at, -1, sizeof m->targets_at);
-    memset(m->laid_out, 0, sizeof m->laid_out);
-    estimate(m->to_column, m->w, box->x0, box->x1);
-    estimate(m->to_row, m->h, box->y0, box->y1);
+    m->box = *box;
+    memcpy(m->open, open, sizeof m->open);
+    m->box_level = WAVE_LIMIT;
+    memset(m->target, 0, sizeof m->target);
 }
 
-// With a blocked border: waves need no bounds checks.
-void wavefront_lay_out_row(wavefront *m, int y) {
-    uint16_t *restrict row = m->dist + y * WAVE_STRIDE;
-    m->laid_out[y] = 1;
-    if (y == 0 || y == m->h + 1) {
-        for (int x = 0; x < m->w + 2; ++x) row[x] = WAVE_BLOCKED;
-        return;
-    }
-    const uint8_t *restrict from = m->cost + (y - 1) * m->w;
-    row[0] = row[m->w + 1] = WAVE_BLOCKED;
-    for (int x = 0; x < m->w; ++x) row[x + 1] = from[x] >= COST_INSCRIBED ? WAVE_BLOCKED : WAVE_FREE;
-}
-
-static inline void lay_out(wavefront *m, int y) {
-    if (!m->laid_out[y]) wavefront_lay_out_row(m, y);
-}
-
-void wavefront_unblock(wavefront *m, int x, int y) {
-    lay_out(m, y + 1);
-    m->dist[wave_index(x, y)] = WAVE_FREE;
-}
+void wavefront_unblock(wavefront *m, int x, int y) { *word_of(m->open, x, y) |= bit_of(x); }
 
 void wavefront_target(wavefront *m, int x, int y) {
-    const int i = wave_index(x, y);
-    lay_out(m, y + 1);
-    if (m->dist[i] == 1) return;  // a plan visits a cell more than once
-    m->dist[i] = 1;
-    const int far = m->to_column[x + 1] + m->to_row[y + 1];
-    m->next_target[i] = m->targets_at[far];
-    m->targets_at[far] = i;
-    if (far > m->last_target) m->last_target = far;
+    *word_of(m->open, x, y) |= bit_of(x);
+    *word_of(m->target, x, y) |= bit_of(x);
+    const int left = m->box.x0 - x, right = x - m->box.x1, below = m->box.y0 - y, above = y - m->box.y1;
+    const int columns = left > right ? left : right, rows = below > above ? below : above;
+    const int to_box = (columns > 0 ? columns : 0) + (rows > 0 ? rows : 0);
+    m->box_level = to_box < m->box_level ? to_box : m->box_level;
 }
 
-// Estimates differ by one between neighbours, so a neighbour goes into the same bucket or one of the next two.
-// A cell may be found twice, the second time nearer; then it is in two buckets and its second expansion finds nothing.
-static inline int relax(wavefront *m, uint16_t *into, int count, int to, uint16_t distance) {
-    const bool nearer = distance < m->dist[to];
-    into[count] = (uint16_t)to;
-    m->dist[to] = nearer ? distance : m->dist[to];
-    return count + nearer;
-}
-
-static inline void relax_uneven(wavefront *m, int to, uint16_t distance, int rise, int bucket) {
-    const int b = bucket + 1 + rise < WAVE_BUCKETS ? bucket + 1 + rise : bucket + 1 + rise - WAVE_BUCKETS;
-    m->count[b] = relax(m, m->bucket[b], m->count[b], to, distance);
-}
-
-static inline void expand(wavefront *m, int i, int bucket) {
-    const int x = i % WAVE_STRIDE, y = i / WAVE_STRIDE;
-    const uint8_t *column = m->to_column + x, *row = m->to_row + y;
-    const uint16_t next = (uint16_t)(m->dist[i] + 1);
-    lay_out(m, y - 1);
-    lay_out(m, y + 1);
-    if ((column[-1] | column[1] | row[-1] | row[1]) == 0) {  // inside the box the estimate is zero
-        const int b = bucket + 1 < WAVE_BUCKETS ? bucket + 1 : 0;
-        uint16_t *into = m->bucket[b];
-        int count = m->count[b];
-        count = relax(m, into, count, i - 1, next);
-        count = relax(m, into, count, i + 1, next);
-        count = relax(m, into, count, i - WAVE_STRIDE, next);
-        m->count[b] = relax(m, into, count, i + WAVE_STRIDE, next);
-        return;
+// Writes down the distance of the front's cells in the box.
+static void note_front(wavefront *m) {
+    if (m->level < m->box_level) return;
+    const uint64_t *front = m->front;
+    const grid_box *b = &m->box;
+    const int from = b->y0 > m->first - 1 ? b->y0 : m->first - 1, to = b->y1 < m->last - 1 ? b->y1 : m->last - 1;
+    for (int k = b->x0 >> 6; k <= b->x1 >> 6; ++k) {
+        uint64_t inside = ~(uint64_t)0;
+        if (k == b->x0 >> 6) inside &= ~(uint64_t)0 << (b->x0 & 63);
+        if (k == b->x1 >> 6) inside &= ~(uint64_t)0 >> (63 - (b->x1 & 63));
+        for (int y = from; y <= to; ++y) {
+            uint16_t *dist = m->dist + y * WAVE_STRIDE + 64 * k;
+            for (uint64_t left = front[(y + 1) * WAVE_WORDS + k] & inside; left; left &= left - 1)
+                dist[__builtin_ctzll(left)] = (uint16_t)m->level;
+        }
     }
-    relax_uneven(m, i - 1, next, column[-1] - column[0], bucket);
-    relax_uneven(m, i + 1, next, column[1] - column[0], bucket);
-    relax_uneven(m, i - WAVE_STRIDE, next, row[-1] - row[0], bucket);
-    relax_uneven(m, i + WAVE_STRIDE, next, row[1] - row[0], bucket);
 }
 
-static void start_targets(wavefront *m, int bucket) {
-    for (int at = m->targets_at[m->level]; at >= 0; at = m->next_target[at])
-        m->bucket[bucket][m->count[bucket]++] = (uint16_t)at;
-    m->targets_at[m->level] = -1;
-}
-
-void wavefront_grow_until(wavefront *m, int x, int y) {
-    const int i = wave_index(x, y), far = m->to_column[x + 1] + m->to_row[y + 1];
-    lay_out(m, y + 1);
-    while (m->dist[i] - 1 + far > m->level) {
-        const int bucket = m->level % WAVE_BUCKETS;
-        if (m->level <= m->last_target) start_targets(m, bucket);
-        while (m->next < m->count[bucket]) expand(m, m->bucket[bucket][m->next++], bucket);
-        m->count[bucket] = m->next = 0;
-        m->level += 1;
-        if (m->level > m->last_target && !m->count[0] && !m->count[1] && !m->count[2]) m->level = 2 * WAVE_FREE;
+void wavefront_start(wavefront *m) {
+    m->level = 0;
+    m->first = WAVE_ROWS, m->last = -1;
+    memcpy(m->reached, m->target, sizeof m->reached);
+    memcpy(m->front, m->target, sizeof m->front);
+    for (int y = 1; y <= m->h; ++y) {
+        const uint64_t *row = m->target + y * WAVE_WORDS;
+        if (!(row[0] | row[1] | row[2] | row[3])) continue;
+        if (y < m->first) m->first = y;
+        m->last = y;
     }
+    m->exhausted = m->last < 0;
+    for (int y = m->box.y0; y <= m->box.y1; ++y)
+        memset(m->dist + y * WAVE_STRIDE + m->box.x0, 0xFF, sizeof *m->dist * (size_t)(m->box.x1 - m->box.x0 + 1));
+    note_front(m);
+}
+
+typedef uint64_t row_bits __attribute__((vector_size(8 * WAVE_WORDS)));
+
+// One level in the padded rows [first, last]: the front is what is open beside a reached cell and was not reached. A
+// row is overwritten when the rows beside it have been read. Whether there is a front.
+WIDE static bool step(const uint64_t *restrict open, uint64_t *restrict reached, uint64_t *restrict front, int first,
+                      int last) {
+    const row_bits none = {0};
+    row_bits below, row, above, free, any = none;
+    memcpy(&below, reached + (first - 1) * WAVE_WORDS, sizeof below);
+    memcpy(&row, reached + first * WAVE_WORDS, sizeof row);
+    for (int k = first * WAVE_WORDS; k <= last * WAVE_WORDS; k += WAVE_WORDS) {
+        memcpy(&above, reached + k + WAVE_WORDS, sizeof above);
+        memcpy(&free, open + k, sizeof free);
+        const row_bits high = row >> 63, low = row << 63;
+        const row_bits beside = row << 1 | __builtin_shufflevector(high, none, 4, 0, 1, 2) | row >> 1 |
+                                __builtin_shufflevector(low, none, 1, 2, 3, 4);
+        const row_bits found = (below | above | beside) & free & ~row, all = row | found;
+        memcpy(front + k, &found, sizeof found);
+        memcpy(reached + k, &all, sizeof all);
+        any |= found;
+        below = row, row = above;
+    }
+    return (any[0] | any[1] | any[2] | any[3]) != 0;
+}
+
+static void grow(wavefront *m) {
+    m->first -= m->first > 1;
+    m->last += m->last < m->h;
+    m->exhausted = !step(m->open, m->reached, m->front, m->first, m->last);
+    m->level += 1;
+    if (!m->exhausted) note_front(m);
+}
+
+int wavefront_grow_until(wavefront *m, int x, int y) {
+    if (!wavefront_noted(m, x, y)) {  // once more, noting everything
+        m->box = (grid_box){0, 0, m->w - 1, m->h - 1};
+        m->box_level = 0;
+        wavefront_start(m);
+    }
+    const uint16_t *d = m->dist + y * WAVE_STRIDE + x;
+    while (*d == WAVE_UNKNOWN && !m->exhausted) grow(m);
+    return *d;
+}
+
+void wavefront_grow_to(wavefront *m, int level) {
+    while (m->level < level && !m->exhausted) grow(m);
 }
 
 int wavefront_ros_value(wavefront *m, int x, int y) {

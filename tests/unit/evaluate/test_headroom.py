@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from appl_dist.spec import DWA
 from benchmarks import headroom
@@ -54,3 +57,13 @@ def test_candidates_are_in_the_box_and_hold_the_baselines() -> None:
     for spec in list(found.values())[2:]:
         values = np.array([float(item.split("=")[1]) for item in spec.removeprefix("set:").split(",")])
         assert np.all((values >= DWA.low) & (values <= DWA.high))
+
+
+@pytest.mark.slow
+def test_every_stage_runs_on_real_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = "--world-count 12 --train 0:4 --test 4:6 --test-count 2 --timings ideal --sets 2 --first-trials 1"
+    options += f" --choose-trials 1 --trials 2 --workers 1 --folder {tmp_path}"
+    monkeypatch.setattr("sys.argv", ["headroom", *options.split()])
+    assert headroom.main() == 0
+    rows = json.loads((tmp_path / "headroom.json").read_text())["timings"]["ideal"]
+    assert {name: row["trials"] for name, row in rows.items()} == {"default": 4, "fixed": 4, "adapted": 4}

@@ -12,8 +12,10 @@ from appl_dist.spec import Rollout
 OBS, SCAN, ACT = 5, 2, 3
 
 
-def small_replay(folder: Any = None, capacity: int = 100, n_step: int = 1, gamma: float = 0.9) -> Replay:
-    return Replay(folder, capacity, n_step, gamma, observation_size=OBS, scan_size=SCAN, action_size=ACT)
+def small_replay(
+    folder: Any = None, capacity: int = 100, n_step: int = 1, gamma: float = 0.9, sync: bool = False
+) -> Replay:
+    return Replay(folder, capacity, n_step, gamma, observation_size=OBS, scan_size=SCAN, action_size=ACT, sync=sync)
 
 
 def rollout(first: int, n: int, terminal: bool = True, rewards: Any = None) -> Rollout:

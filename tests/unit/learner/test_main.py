@@ -13,7 +13,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from appl_dist.errors import UserError
-from appl_dist.learner.main import Learner, Run
+from appl_dist.learner.main import Learner, Run, _Every
 from appl_dist.learner.settings import LearnerSettings, TD3Settings
 from appl_dist.spec import DWA, OBSERVATION_SIZE, Rollout
 from appl_dist.wire.codec import UploadHeader
@@ -105,6 +105,22 @@ def test_not_a_number_stops_the_run_and_names_the_last_good_checkpoint(tmp_path:
         assert part.td3.updates == 1
         assert torch.isfinite(part.td3.critic.flat).all()
         assert part.step()
+
+
+def test_a_policy_is_published_at_the_start_and_then_only_when_it_has_changed(tmp_path: Path) -> None:
+    with learner(tmp_path) as part:
+        part._publishing = _Every(0.0)  # due at every step
+        part.step()  # too few transitions to learn from
+        part.step()
+        assert part.version == 1
+        give(part)
+        assert part.step()
+        assert part.step()
+        assert part.version == 3
+        part.save()
+        part.checkpoints.wait()
+    with learner(tmp_path) as part:  # a new process says so, with the weights of the old one
+        assert (part.epoch, part.version) == (2, 4)
 
 
 def test_a_run_that_stopped_and_went_on_equals_one_that_never_stopped(tmp_path: Path) -> None:

@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import itertools
 import multiprocessing
 import os
+import shutil
 import signal
 import threading
 from pathlib import Path
@@ -256,6 +258,65 @@ def test_after_kill_9_the_acknowledged_is_there_and_nothing_half_written(tmp_pat
         np.testing.assert_array_equal(batch.observations[:, 2] // 100, batch.returns)
         assert batch.returns.max() == stored - 1
         assert replay.insert(rollout(0, 3), "a", stored)
+
+
+class PowerCuts:
+    """Tries a power cut before and after every wait for the disk.
+
+    A file's stores since it was last synced may or may not have reached the disk: each mixture of files as they were
+    synced and as they are now must reopen, with every rollout acknowledged so far and nothing that was not given.
+    """
+
+    def __init__(self, folder: Path, elsewhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self.elsewhere, self.cuts = folder, elsewhere, 0
+        self.synced = self.now()
+        self.acknowledged = self.given = 0
+        really = storage.MappedArray.sync
+
+        def sync(array: storage.MappedArray) -> None:
+            assert array.path is not None
+            self.check()
+            really(array)
+            self.synced[array.path.name] = array.path.read_bytes()
+            self.check()
+
+        monkeypatch.setattr(storage.MappedArray, "sync", sync)
+
+    def now(self) -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in sorted(self.folder.glob("*.bin"))}
+
+    def check(self) -> None:
+        now = self.now()
+        versions = [[now[name], self.synced[name]] for name in now]
+        for contents in itertools.product(*versions):
+            for name, data in zip(now, contents, strict=True):
+                (self.elsewhere / name).write_bytes(data)
+            with small_replay(self.elsewhere, capacity=16) as found:
+                assert self.acknowledged <= found.expected_seq("a") <= self.given
+                assert found.expected_seq("gone") == 1  # also once the ring has overwritten its only rollout
+                for stored in found.rollouts():
+                    if stored.actor == "gone":
+                        continue
+                    n = 1 + stored.seq % 5
+                    assert np.array_equal(stored.other[:, 0], np.arange(10 * stored.seq, 10 * stored.seq + n + 1))
+                    assert len(stored.actions) == n
+            self.cuts += 1
+
+
+def test_with_sync_a_power_cut_at_any_time_costs_nothing_acknowledged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    with small_replay(tmp_path / "run", capacity=16, sync=True) as replay:
+        shutil.copy(tmp_path / "run" / "meta.json", tmp_path / "elsewhere")
+        replay.insert(rollout(0, 1), "gone", 0)
+        cuts = PowerCuts(tmp_path / "run", tmp_path / "elsewhere", monkeypatch)
+        for seq in range(25):  # several times around the ring
+            cuts.given = seq + 1
+            assert replay.insert(rollout(10 * seq, 1 + seq % 5), "a", seq)
+            cuts.acknowledged = seq + 1
+            cuts.check()
+    assert cuts.cuts > 1000
 
 
 def test_one_thread_inserts_while_another_samples() -> None:
