@@ -1,14 +1,12 @@
 """Multilayer perceptrons for TD3: one flat float32 vector each, and twins evaluated as one.
 
 All parameters of a network are views of one flat vector, so Adam, Polyak averaging, norms and checkpoints are
-single operations on it. `heads` networks of one shape (the twin Q-functions) run as batched matrix products.
-With bfloat16 the hidden layers compute from a cast copy; the output layer, whose rounding would show in
-Q-values and actions, and everything that accumulates (parameters, Adam's moments, targets) stay float32.
+single operations on it. With bfloat16 the hidden layers compute from a cast copy; the output layer, whose rounding
+would show in Q-values and actions, and everything that accumulates (parameters, Adam's moments, targets) stay float32.
 
 The backward pass is written out (a chain of matrix products, tested against autograd): gradients go straight
 into the optimiser's vectors, and the actor's loss is differentiated by the action alone, not by 729
-observation entries and the critic's weights. A network keeps the memory of its passes: fresh pages for every
-product cost as much as the products.
+observation entries and the critic's weights. Memory and operations of a pass are prepared once (passes.py).
 """
 
 from __future__ import annotations
