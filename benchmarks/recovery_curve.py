@@ -32,6 +32,7 @@ from appl_dist.actor.main import Explorer
 from appl_dist.actor.spool import Spool
 from appl_dist.config import from_dict
 from appl_dist.launch.ledger import run_ledger
+from appl_dist.launch.processes import die_with_parent
 from appl_dist.spec import DWA, OBSERVATION_SIZE, PARAMETERS, Rollout
 from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -51,6 +52,7 @@ OVERRIDES = (
 
 
 def actor(address: str, folder: Path, seed: int, rate_hz: float) -> None:
+    die_with_parent()
     rng = np.random.default_rng([seed, 1])
     with (
         open_session(WireSettings(address, timeout_s=START_S), listen=False) as session,
@@ -92,7 +94,7 @@ class Run:
     """A learner, started again whenever it dies, and its actor."""
 
     def __init__(self, folder: Path, seed: int, transitions: int, rate_hz: float) -> None:
-        self.folder, self.address, self.killed_at = folder, endpoint(), list[float]()
+        self.folder, self.address, self.kills = folder, endpoint(), 0
         self._command = [
             sys.executable, "-m", "appl_dist", "learner", f"run.folder={folder}", f"run.seed={seed}",
             f"run.transitions={transitions}", f"wire.endpoint={self.address}", *OVERRIDES,
@@ -112,7 +114,7 @@ class Run:
         if self._learner.poll() is None:
             self._learner.kill()
             self._learner.wait()
-            self.killed_at.append(time.time())
+            self.kills += 1
 
     def end(self) -> None:
         self._learner.send_signal(signal.SIGTERM)
@@ -146,9 +148,7 @@ def table(curves: dict[str, list[tuple[np.ndarray, np.ndarray]]], blocks: int) -
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument(
-        "--period", type=float, default=60.0, help="s between kills, above checkpoint_every_s"
-    )
+    parser.add_argument("--period", type=float, default=60.0, help="s between kills, above checkpoint_every_s")
     parser.add_argument("--rate", type=float, default=50.0, help="transitions a second of every run")
     parser.add_argument("--pairs", type=int, default=3)
     parser.add_argument("--blocks", type=int, default=8)
@@ -163,16 +163,17 @@ def main() -> None:
         for seed, kind in itertools.product(range(arguments.pairs), runs):
             runs[kind].append(Run(folder / f"{kind}-{seed}", seed, transitions, arguments.rate))
         kill_at = time.monotonic() + arguments.period
+        last_kill = kill_at + 60.0 * arguments.minutes - arguments.period
         while sum(run.watch() for run in itertools.chain(*runs.values())):
             time.sleep(0.5)
-            if time.monotonic() >= kill_at:
+            if time.monotonic() >= kill_at and kill_at <= last_kill:
                 kill_at += arguments.period
                 for run in runs["killed"]:
                     run.kill()
     finally:
         for run in itertools.chain(*runs.values()):
             run.end()
-    kills = [len(run.killed_at) for run in runs["killed"]]
+    kills = [run.kills for run in runs["killed"]]
     print(f"learners killed {kills} times in {transitions} transitions; runs in {folder}")
     table({kind: [returns(run.folder) for run in of_kind] for kind, of_kind in runs.items()}, arguments.blocks)
     for run in itertools.chain(*runs.values()):
