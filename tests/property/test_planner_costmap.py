@@ -210,7 +210,10 @@ def test_maps_renewed_in_part_are_those_made_anew(seed, kind, rolling):
     of the same cells and the same window."""
     arithmetic, cells = kind
     rng = np.random.default_rng(seed)
-    chosen = PlannerSettings(global_size_m=16.0, global_origin_m=-8.0, arithmetic=arithmetic)
+    side_m = float(rng.choice([5.0, 7.0, 10.0]))  # the window reaches the map's edges, or not
+    chosen = PlannerSettings(
+        local_size_m=side_m, global_size_m=side_m, global_origin_m=-side_m / 2, arithmetic=arithmetic
+    )
     planner, anew = (_native.Planner(chosen, with_radius(0.2)) for _ in range(2))
     for each in (planner, anew):
         each.reset(np.array([3.0, 0.0, 0.0]))
