@@ -32,7 +32,7 @@ from appl_dist.actor.timing import TimingSettings
 from appl_dist.errors import UserError
 from appl_dist.launch.settings import LaunchSettings
 from appl_dist.learner.settings import LearnerSettings
-from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.planner.parameters import Arithmetic, PlannerSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings
 from appl_dist.spec import SPACES
 from appl_dist.wire.settings import WireSettings
@@ -79,10 +79,19 @@ class WorldSettings:
 
 @dataclass(frozen=True)
 class EnvSettings:
-    """decision_period_s: how often the policy acts; space: which parameter box ("dwa" or "dwa_wide")."""
+    """How the planner is tuned, and which arithmetic it has while the policy is trained.
+
+    decision_period_s: how often the policy acts; space: which parameter box ("dwa" or "dwa_wide").
+    training_arithmetic: planner.arithmetic of actors that collect transitions. "fast" collects twice as many; paired
+        episodes cannot tell it from "exact" (benchmarks/README.md). Evaluations drive with planner.arithmetic.
+    """
 
     decision_period_s: float = 2.0
     space: str = "dwa"
+    training_arithmetic: Arithmetic = "fast"
+
+    def __post_init__(self) -> None:
+        _one_of("env.training_arithmetic", self.training_arithmetic, typing.get_args(Arithmetic))
 
 
 @dataclass(frozen=True)

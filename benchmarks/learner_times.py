@@ -88,7 +88,7 @@ def checkpoints(folder: Path, saves: int) -> None:
         held, busy, beside, written = [], [], [], []
         for _ in range(saves):
             began, used = time.perf_counter(), time.thread_time()
-            keeper.save(learner, rng, {"version": 0})
+            keeper.save(learner, rng, {"version": 0, "elapsed_s": 0.0})
             held.append(1e3 * (time.perf_counter() - began))
             busy.append(1e3 * (time.thread_time() - used))
             beside += updates(8)

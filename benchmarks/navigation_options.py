@@ -4,7 +4,7 @@ One process acts and learns in turns. Each run is scored without exploration on 
 way; a trial that fails counts 70 s. Every finished run is a line in OUT/runs.jsonl and is not run again; `--report`
 only prints the table.
 
-    python benchmarks/navigation_options.py --worlds BARN [--variants plain mirror ...] [--seeds 3] [--transitions 2000]
+    python benchmarks/navigation_options.py --worlds BARN [--variants plain mirror ...] [--seeds 3] [--transitions 1000]
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
 from appl_dist.spec import OBSERVATION_SIZE, FloatArray
 
-GAMMA, WARM_UP, SCORES, TRIALS, FAILED_S = 0.99, 300, 4, 4, 70.0
+GAMMA, WARM_UP, SCORES, TRIALS, FAILED_S = 0.99, 300, 2, 3, 70.0
 EXPLORATION = ExplorationSettings(sigma_start=0.4, sigma_floor=0.1, uniform_fraction=0.1)
 WORLDS = "1,61,122,183,239,290"
 
@@ -195,7 +195,7 @@ def main() -> None:
     parser.add_argument("--split", default=WORLDS)
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--transitions", type=int, default=2000)
+    parser.add_argument("--transitions", type=int, default=1000)
     parser.add_argument("--out", type=Path, default=Path("outputs/navigation_options"))
     parser.add_argument("--report", action="store_true")
     args = parser.parse_args()

@@ -48,12 +48,12 @@ def step_quantities(learner: TD3, batch: Batch, seed: int) -> dict[str, Tensor]:
     obs, action = torch.from_numpy(batch.observations), torch.from_numpy(batch.actions)
     arrays = (batch.returns, batch.discounts, batch.next_observations)
     targets = learner.targets(*(torch.from_numpy(a) for a in arrays))
-    done = learner.critic.forward(torch.cat((obs, action), 1))
+    done = learner.critic.forward(obs, action)
     error = done.output[..., 0] - targets
     learner.critic.backward(done, error[..., None])
     acting = learner.actor.forward(obs)
     chosen = acting.output[0].tanh()
-    value = learner.critic.forward(torch.cat((obs, chosen), 1), heads=1)
+    value = learner.critic.forward(obs, chosen, heads=1)
     by_action = learner.critic.input_gradient(value, -torch.ones_like(value.output), 1)
     learner.actor.backward(acting, (by_action * (1.0 - chosen.square()))[None])
     return {

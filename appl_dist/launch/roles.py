@@ -22,6 +22,7 @@ from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts, worlds_of
+from appl_dist.planner.parameters import Arithmetic
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -42,14 +43,14 @@ LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not sta
 HELD_ROLLOUTS = 2  # an actor that the learner told to wait stops collecting at this many unsent rollouts
 
 
-def environment_arguments(settings: Settings) -> dict[str, Any]:
-    """Arguments of `NavigationEnv` beside the worlds and the protocol."""
+def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = None) -> dict[str, Any]:
+    """Arguments of `NavigationEnv` beside the worlds and the protocol; arithmetic: instead of the planner's own."""
     return {
         "decision_period_s": settings.env.decision_period_s,
         "space": SPACES[settings.env.space],
         "timing": settings.timing,
         "rewards": settings.reward,
-        "planner": settings.planner,
+        "planner": replace(settings.planner, arithmetic=arithmetic or settings.planner.arithmetic),
         "robot": settings.robot,
         "lidar": settings.lidar,
     }
@@ -213,7 +214,7 @@ def act_in_run(
     env = NavigationEnv(
         worlds_of(settings, settings.world.train),
         protocol=settings.protocol,
-        **environment_arguments(settings),
+        **environment_arguments(settings, settings.env.training_arithmetic),
     )
     uploader = Uploader(bus, run_id, actor_id, spool)
     control = ControlClient(bus, run_id)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -195,14 +196,15 @@ class Learner:
     def _resume(self) -> int:
         """Load the newest checkpoint, if any; this process's epoch, one more than the last one's."""
         file = self.run_info.folder / "epoch.json"
-        epoch = json.loads(file.read_text())["epoch"] + 1 if file.exists() else 1
+        epoch = 1 + int(_number(file, _read_json(file), "epoch")) if file.exists() else 1
         found = self.checkpoints.load(self.td3, self.rng)
         if found is not None:
-            self.version = int(found["version"])
-            self._started -= float(found["elapsed_s"])
+            path = self.checkpoints.newest()
+            self.version = int(_number(path, found, "version"))
+            self._started -= _number(path, found, "elapsed_s")
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
         write_atomic(file, json.dumps({"epoch": epoch}), sync=True)
-        return int(epoch)
+        return epoch
 
     def _counts(self) -> dict[str, Any]:
         return {
@@ -312,6 +314,22 @@ class Learner:
             **self.statistics.figures(),
             "actors": actors,
         }
+
+
+def _read_json(file: Path) -> Any:
+    """What the file holds; None if that is not JSON."""
+    try:
+        return json.loads(file.read_text())
+    except ValueError:
+        return None
+
+
+def _number(file: Path | None, found: Any, name: str) -> float:
+    """A number a restart needs from one of the run's files; UserError if it is not there."""
+    value = found.get(name) if isinstance(found, dict) else None
+    if not isinstance(value, int | float) or not 0 <= value < math.inf:
+        raise UserError(f"{file}: {name}: got {value!r}; a number, 0 or more, is needed to continue this run")
+    return value
 
 
 class _Sink:

@@ -1,29 +1,24 @@
 """Multilayer perceptrons for TD3: one flat float32 vector each, and twins evaluated as one.
 
 All parameters of a network are views of one flat vector, so Adam, Polyak averaging, norms and checkpoints are
-single operations on it. `heads` networks of one shape (the twin Q-functions) run as batched matrix products.
-With bfloat16 the hidden layers compute from a cast copy; the output layer, whose rounding would show in
-Q-values and actions, and everything that accumulates (parameters, Adam's moments, targets) stay float32.
+single operations on it. With bfloat16 the hidden layers compute from a cast copy; the output layer, whose rounding
+would show in Q-values and actions, and everything that accumulates (parameters, Adam's moments, targets) stay float32.
 
 The backward pass is written out (a chain of matrix products, tested against autograd): gradients go straight
 into the optimiser's vectors, and the actor's loss is differentiated by the action alone, not by 729
-observation entries and the critic's weights.
+observation entries and the critic's weights. Memory and operations of a pass are prepared once (passes.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-_NORM_EPSILON = 1e-5
-
-
-class Layer(NamedTuple):
-    weight: Tensor  # (heads, in, out)
-    bias: Tensor  # (heads, 1, out)
+from appl_dist.learner.passes import Layer, Pass
+from appl_dist.learner.workers import Workers
 
 
 class Part(NamedTuple):
@@ -32,22 +27,6 @@ class Part(NamedTuple):
     master: Tensor  # (n,) float32, a view of `flat`
     grad: Tensor  # (n,) of the type it computes in
     copy: Tensor | None  # (n,) `master` in that type; None where that is float32
-
-
-class Norm(NamedTuple):
-    """What layer normalisation leaves for the backward pass."""
-
-    input: Tensor  # (heads, b, out)
-    mean: Tensor  # (heads, b, 1)
-    scale: Tensor  # (heads, b, 1) 1 / standard deviation
-
-
-class Pass(NamedTuple):
-    """What a forward pass leaves for the backward pass."""
-
-    inputs: list[Tensor]  # of each layer, (heads, b, in)
-    norms: list[Norm]  # of each hidden layer; empty without layer normalisation
-    output: Tensor  # (heads, b, out) float32
 
 
 class FlatMLP:
@@ -66,8 +45,10 @@ class FlatMLP:
         device: torch.device,
         dtype: torch.dtype,
         normalise: bool = False,
+        workers: Workers | None = None,
     ) -> None:
         self.sizes, self.heads, self.normalise = tuple(sizes), heads, normalise
+        self._workers = Workers() if workers is None else workers
         counts = [heads * (i + 1) * o for i, o in zip(self.sizes[:-1], self.sizes[1:], strict=True)]
         self.flat = torch.zeros(sum(counts), device=device)
         hidden, last = self.flat.split([sum(counts[:-1]), counts[-1]])
@@ -79,6 +60,7 @@ class FlatMLP:
         self.master = self._layers(hidden, last)
         self.layers = self._layers(hidden if copy is None else copy, last)
         self.gradients = self._layers(*(part.grad for part in self.parts))
+        self._passes: dict[tuple[int, int], Pass] = {}  # by heads and batch size
         self.reset(generator)
 
     def reset(self, generator: torch.Generator) -> None:
@@ -111,48 +93,31 @@ class FlatMLP:
             at = end
         return views
 
-    def forward(self, x: Tensor, heads: int | None = None) -> Pass:
-        """Evaluate the first `heads` networks (all by default) on inputs x (b, in)."""
-        h = self.heads if heads is None else heads
-        # Contiguous: a matrix product would copy the expanded view, and again in the backward pass.
-        y = x.to(self.layers[0].weight.dtype).expand(h, *x.shape).contiguous()
-        inputs, norms = [], []
-        for layer in self.layers[:-1]:
-            inputs.append(y)
-            y = torch.baddbmm(layer.bias[:h], y, layer.weight[:h])
-            if self.normalise:
-                before = y
-                y, mean, scale = torch.native_layer_norm(before, before.shape[-1:], None, None, _NORM_EPSILON)
-                norms.append(Norm(before, mean, scale))
-            y = y.relu_()
-        inputs.append(y.float())
-        last = self.layers[-1]
-        return Pass(inputs, norms, torch.baddbmm(last.bias[:h], inputs[-1], last.weight[:h]))
+    def forward(self, *columns: Tensor, heads: int | None = None) -> Pass:
+        """Evaluate the first `heads` networks (all by default) on inputs (b, in), given in one piece or side by side.
+
+        The pass holds until the next one of as many heads and inputs.
+        """
+        h, b = self.heads if heads is None else heads, len(columns[0])
+        if (h, b) not in self._passes:
+            layers, gradients = ([Layer(w[:h], c[:h]) for w, c in of] for of in (self.layers, self.gradients))
+            self._passes[h, b] = Pass(layers, gradients, b, self.normalise, self._workers)
+        done = self._passes[h, b]
+        at = 0
+        for x in columns:
+            done.inputs[0, :, at : at + x.shape[1]] = x
+            at += x.shape[1]
+        done.ahead()
+        return done
 
     def backward(self, done: Pass, gradient: Tensor) -> None:
         """Fill the gradients of a loss whose gradient by the output is `gradient` (heads, b, out) float32."""
-        for i, g in self._descend(done, gradient):
-            torch.bmm(done.inputs[i].transpose(1, 2), g, out=self.gradients[i].weight)
-            torch.sum(g, 1, keepdim=True, out=self.gradients[i].bias)
+        done.slope.copy_(gradient)
+        done.down()
 
     def input_gradient(self, done: Pass, gradient: Tensor, columns: int) -> Tensor:
         """(b, columns) float32: the loss's gradient by the last `columns` inputs; leaves `gradients` alone."""
-        *_, (_, g) = self._descend(done, gradient)
-        weight = self.layers[0].weight[: len(g), -columns:]
-        return torch.bmm(g, weight.transpose(1, 2)).float().sum(0)
-
-    def _descend(self, done: Pass, gradient: Tensor) -> Iterator[tuple[int, Tensor]]:
-        """From the last layer to the first: its number, and the loss's gradient by its matrix product."""
-        g = gradient
-        for i in reversed(range(len(self.layers))):
-            yield i, g
-            if i:
-                layer, before = self.layers[i], self.layers[i - 1]
-                g = torch.bmm(g, layer.weight[: len(g)].transpose(1, 2))
-                # Where ReLU gave 0, the next layer's input is 0 and nothing flows back.
-                g = torch.ops.aten.threshold_backward(g, done.inputs[i], 0).to(before.weight.dtype)
-                if self.normalise:
-                    n = done.norms[i - 1]
-                    g, _, _ = torch.ops.aten.native_layer_norm_backward(
-                        g, n.input, n.input.shape[-1:], n.mean, n.scale, None, None, [True, False, False]
-                    )
+        done.slope.copy_(gradient)
+        slope = done.to_inputs()
+        weight = self.layers[0].weight[: len(slope), -columns:]
+        return torch.bmm(slope, weight.transpose(1, 2)).float().sum(0)

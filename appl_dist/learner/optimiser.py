@@ -8,39 +8,16 @@ of a cast, torch's fused Adam and another cast. Other devices run the same formu
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from appl_dist import _native
 from appl_dist.learner.networks import FlatMLP
+from appl_dist.learner.workers import Workers
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
-
-T = TypeVar("T")
-
-
-class Workers:
-    """Runs the pieces of a step on `threads` threads: the caller's and a pool of the others."""
-
-    def __init__(self, threads: int) -> None:
-        self.threads = threads
-        # The flag is per thread; without it a piece's bits and speed would depend on who computes it.
-        flush = lambda: torch.set_flush_denormal(True)  # noqa: E731
-        self._pool = ThreadPoolExecutor(threads - 1, "optimiser", flush) if threads > 1 else None
-
-    def each(self, work: Callable[[T], None], pieces: list[T]) -> None:
-        """work(piece) for every piece; returns when all are done."""
-        if self._pool is None:
-            for piece in pieces:
-                work(piece)
-            return
-        later = [self._pool.submit(work, piece) for piece in pieces[1:]]
-        work(pieces[0])
-        for future in later:
-            future.result()
 
 
 class Adam:

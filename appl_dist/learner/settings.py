@@ -12,9 +12,9 @@ from appl_dist.learner.limiter import LimiterSettings
 class TD3Settings:
     """Everything `TD3` needs beside the sizes; ValueError names the field that cannot be.
 
-    `precision` bf16 computes the hidden layers in bfloat16 (3 to 4 times faster where the CPU has AMX),
-    fp32 everything in float32; auto takes bf16 where the hardware multiplies it natively. `threads` is
-    torch's, for the process. `layer_norm` normalises the critics' hidden layers. n-step and gamma belong to replay.
+    `precision` bf16 computes the hidden layers in bfloat16 (3 times faster where the CPU has AMX), fp32 everything in
+    float32; auto takes bf16 where the hardware multiplies it natively. `threads` is torch's for the process, and ours
+    in an update. `layer_norm` normalises the critics' hidden layers. n-step and gamma belong to replay.
     """
 
     hidden: tuple[int, ...] = (512, 512, 512)

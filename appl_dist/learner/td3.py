@@ -18,9 +18,11 @@ from torch import Tensor
 
 from appl_dist.errors import UserError
 from appl_dist.learner.networks import FlatMLP
-from appl_dist.learner.optimiser import Adam, Workers, average
+from appl_dist.learner.optimiser import Adam, average
+from appl_dist.learner.products import tiled
 from appl_dist.learner.rows import Batch
 from appl_dist.learner.settings import TD3Settings
+from appl_dist.learner.workers import Workers
 from appl_dist.spec import FloatArray
 
 log = logging.getLogger(__name__)
@@ -41,15 +43,17 @@ class TD3:
         self.device = _usable(settings.device)
         self.precision = _resolve(settings.precision, self.device)
         dtype = torch.bfloat16 if self.precision == "bf16" else torch.float32
+        # In an update. Where our own threads share the products, torch's would only get in their way.
+        self._torch_threads = 1 if tiled(dtype, self.device) else settings.threads
+        self._workers = Workers(settings.threads)
         initial = torch.Generator().manual_seed(seed)
         self.noise = torch.Generator(self.device).manual_seed(seed + 1)  # target smoothing
         actor_sizes = (obs_size, *settings.hidden, action_size)
         critic_sizes = (obs_size + action_size, *settings.hidden, 1)
-        self.actor = FlatMLP(actor_sizes, 1, initial, self.device, dtype)
-        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype, settings.layer_norm)
+        self.actor = FlatMLP(actor_sizes, 1, initial, self.device, dtype, workers=self._workers)
+        self.critic = FlatMLP(critic_sizes, 2, initial, self.device, dtype, settings.layer_norm, self._workers)
         self.actor_target = copy.deepcopy(self.actor)
         self.critic_target = copy.deepcopy(self.critic)
-        self._workers = Workers(settings.threads)
         self.actor_adam = Adam(self.actor, settings.actor_lr, self._workers)
         self.critic_adam = Adam(self.critic, settings.critic_lr, self._workers)
         self.updates = 0
@@ -61,9 +65,12 @@ class TD3:
         # Adam's moments of dead units decay into denormals, which are slow. The flag is the calling thread's,
         # for numpy too, so it is on for the update only.
         torch.set_flush_denormal(True)
+        threads = torch.get_num_threads()
+        torch.set_num_threads(self._torch_threads)
         try:
             return self._update(batch, detail)
         finally:
+            torch.set_num_threads(threads)
             torch.set_flush_denormal(False)
 
     def _update(self, batch: Batch, detail: bool) -> Metrics:
@@ -78,7 +85,7 @@ class TD3:
             )
         )
         targets = self.targets(returns, discounts, next_obs)  # (b,)
-        done = self.critic.forward(torch.cat((obs, action), 1))
+        done = self.critic.forward(obs, action)
         error = done.output[..., 0] - targets  # (2, b)
         by_output = error * (2.0 / len(targets))
         if batch.weights is not None:
@@ -105,7 +112,7 @@ class TD3:
         """One step up the first critic's value of the actor's own actions, TD3 paper eq. 6; its loss."""
         done = self.actor.forward(obs)
         chosen = done.output[0].tanh()  # (b, act)
-        value = self.critic.forward(torch.cat((obs, chosen), 1), heads=1)
+        value = self.critic.forward(obs, chosen, heads=1)
         down = torch.full_like(value.output, -1.0 / len(obs))  # the loss is -mean Q
         by_action = self.critic.input_gradient(value, down, chosen.shape[1])
         self.actor.backward(done, (by_action * (1.0 - chosen.square()))[None])
@@ -119,7 +126,7 @@ class TD3:
         noise = torch.randn(action.shape, generator=self.noise, device=self.device) * s.target_noise
         noise.clamp_(-s.target_noise_clip, s.target_noise_clip)
         action = (action + noise).clamp_(-1.0, 1.0)
-        q = self.critic_target.forward(torch.cat((next_obs, action), 1)).output[..., 0]
+        q = self.critic_target.forward(next_obs, action).output[..., 0]
         return returns + discounts * q.amin(0)
 
     def _average_targets(self) -> None:

@@ -1,14 +1,18 @@
-// The learner's C core: optimiser steps over flat vectors. Tensors come in through DLPack, without a copy.
+// The learner's C core: optimiser steps over flat vectors, and matrix products. Tensors come in through DLPack, without
+// a copy.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 
 #include <cmath>
+#include <memory>
+#include <new>
 #include <optional>
 
 #include "check.h"
 
 extern "C" {
 #include "adam.h"
+#include "amx.h"
 }
 
 namespace nb = nanobind;
@@ -53,6 +57,76 @@ void polyak(const appl::Array &target, const appl::Array &p, const std::optional
     nb::gil_scoped_release release;
     polyak_step(static_cast<float>(tau), static_cast<size_t>(n), average, parameters, cast);
 }
+
+// (rows, columns) of bfloat16; only the columns need to lie side by side.
+struct Matrix {
+    Matrix(const appl::Array &a, const char *name) {
+        const nb::dlpack::dtype wanted{static_cast<uint8_t>(nb::dlpack::dtype_code::Bfloat), 16, 1};
+        if (a.dtype() != wanted) throw nb::type_error((std::string(name) + ": expected bfloat16").c_str());
+        if (a.ndim() != 2 || (a.shape(1) > 1 && a.stride(1) != 1) || a.stride(0) < 0)
+            throw nb::value_error((std::string(name) + ": expected (rows, columns), columns side by side, got " +
+                                   appl::shape_text(a)).c_str());
+        data = static_cast<uint16_t *>(const_cast<void *>(static_cast<const void *>(a.data())));
+        rows = a.shape(0), columns = a.shape(1), step = static_cast<size_t>(a.stride(0));
+    }
+    Matrix() = default;
+    void expect(const char *name, size_t r, size_t c) const {
+        if (rows != r || columns != c)
+            throw nb::value_error((std::string(name) + ": expected (" + std::to_string(r) + ", " + std::to_string(c) +
+                                   "), got (" + std::to_string(rows) + ", " + std::to_string(columns) + ")").c_str());
+    }
+
+    uint16_t *data = nullptr;
+    size_t rows = 0, columns = 0, step = 0;
+};
+
+// Scratch that grows to the largest product of its thread.
+void *scratch(size_t bytes) {
+    struct Free {
+        void operator()(void *p) const { ::operator delete(p, std::align_val_t{64}); }
+    };
+    thread_local std::unique_ptr<void, Free> memory;
+    thread_local size_t size = 0;
+    if (bytes > size) {
+        memory.reset();
+        size = 0;
+        memory.reset(::operator new(bytes, std::align_val_t{64}));
+        size = bytes;
+    }
+    return memory.get();
+}
+
+// A product with its memory, to be run as often as that changes; holds on to the tensors.
+class Product {
+  public:
+    Product(const appl::Array &a_, const appl::Array &b_, const appl::Array &out_, bool transpose_a, bool transpose_b,
+            const std::optional<appl::Array> &bias_, bool relu, const std::optional<appl::Array> &open_,
+            const std::optional<appl::Array> &sums_)
+        : kept_{a_, b_, out_, bias_.value_or(a_), open_.value_or(a_), sums_.value_or(a_)} {
+        if (!amx_available()) throw std::runtime_error("this processor has no AMX tiles");
+        const Matrix a(a_, "a"), b(b_, "b"), out(out_, "out");
+        const size_t m = transpose_a ? a.columns : a.rows, k = transpose_a ? a.rows : a.columns;
+        const size_t n = transpose_b ? b.rows : b.columns;
+        b.expect("b", transpose_b ? n : k, transpose_b ? k : n);
+        out.expect("out", m, n);
+        if (sums_ && transpose_b) throw nb::value_error("sums: only with b as it is");
+        Matrix bias, open, sums;
+        if (bias_) (bias = Matrix(*bias_, "bias")).expect("bias", 1, n);
+        if (open_) (open = Matrix(*open_, "open")).expect("open", m, n);
+        if (sums_) (sums = Matrix(*sums_, "sums")).expect("sums", 1, n);
+        product_ = {m, n, k, {a.data, a.step, transpose_a}, {b.data, b.step, transpose_b}, bias.data, relu,
+                    open.data, open.step, sums.data, out.data, out.step};
+    }
+
+    void run() const {
+        nb::gil_scoped_release release;
+        amx_multiply(&product_, scratch(amx_scratch(product_.m, product_.n, product_.k)));
+    }
+
+  private:
+    appl::Array kept_[6];
+    amx_product product_;
+};
 }  // namespace
 
 void bind_learner(nb::module_ &m) {
@@ -63,4 +137,16 @@ void bind_learner(nb::module_ &m) {
           "uint16, receives the parameters as bfloat16, or None. step counts from 1.");
     m.def("polyak", &polyak, nb::arg("target"), nb::arg("parameters"), nb::arg("copy").none(), nb::kw_only(),
           nb::arg("tau"), "target += tau (parameters - target) in place, (n,) float32; copy as in adam.");
+    m.def("has_tiles", [] { return amx_available() != 0; }, "Whether `Product` can run on this processor.");
+    nb::class_<Product>(m, "Product",
+                        "out (m, n) = a (m, k) b (k, n) + bias (1, n), all bfloat16, summed in float32. transpose_a, "
+                        "transpose_b: a, b are stored transposed. relu: negative results become 0. open (m, n): results "
+                        "become 0 where it is not positive. sums (1, n) becomes the sums of b's columns.")
+        .def(nb::init<const appl::Array &, const appl::Array &, const appl::Array &, bool, bool,
+                      const std::optional<appl::Array> &, bool, const std::optional<appl::Array> &,
+                      const std::optional<appl::Array> &>(),
+             nb::arg("a"), nb::arg("b"), nb::arg("out"), nb::kw_only(), nb::arg("transpose_a") = false,
+             nb::arg("transpose_b") = false, nb::arg("bias").none() = nb::none(), nb::arg("relu") = false,
+             nb::arg("open").none() = nb::none(), nb::arg("sums").none() = nb::none())
+        .def("__call__", &Product::run);
 }

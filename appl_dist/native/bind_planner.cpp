@@ -132,10 +132,12 @@ public:
         m.frame.ox = ox, m.frame.oy = oy;
         for (size_t i = 0; i < cells; ++i) m.obstacles[i] = c[i] == COST_LETHAL ? COST_LETHAL : COST_FREE;
         std::copy(c, c + cells, m.master);
+        m.exact = {0, 0, 0, 0};
         if (!local) navfn_sync(&n_->plan, m.master, {0, 0, m.frame.w, m.frame.h});
     }
     void inflate(bool local) {
         costmap &m = local ? n_->local : n_->global;
+        m.exact = {0, 0, 0, 0};
         inflation_run(&m.inflate, &n_->scratch, m.master, m.frame.w, m.frame.h, 0, 0, m.frame.w, m.frame.h);
         if (!local) navfn_sync(&n_->plan, m.master, {0, 0, m.frame.w, m.frame.h});
     }
@@ -144,6 +146,7 @@ public:
         const double *s = finite(start, "start", 2), *g = finite(goal, "goal", 2);
         n_->plan.fresh = false;
         n_->plan.whole = whole;
+        costmap_freed(&n_->global, s[0], s[1]);
         navfn_plan(&n_->plan, &n_->global.frame, n_->global.master, s[0], s[1], g[0], g[1]);
         n_->plan.whole = false;
         const size_t count = static_cast<size_t>(n_->plan.plan_count);

@@ -66,9 +66,9 @@ class PlannerSettings:
     planner_patience: float = 5.0
     rotate_max_vel_theta: float = 1.57  # rotate_recovery reads it once at start
     rotate_granularity_rad: float = 0.017
-    # "exact": every plan and command is that of the ROS code, bit for bit. "fast": the global plan's wave is in single
-    # precision and cut closer to what it needs, which moves plans by micrometres as a rule; costs are those of the exact
-    # distance, not of the brushfire's (one inflated cell in some thousands). Twice as fast; benchmarks/README.md.
+    # "exact": every plan and command is that of the ROS code, bit for bit. "fast", twice as fast: the global plan's
+    # wave is in single precision and cut closer to what it needs, which moves plans by micrometres as a rule; costs are
+    # those of the exact distance, not of the brushfire's (one inflated cell in some thousands).
     arithmetic: Arithmetic = "exact"
 
     def __post_init__(self) -> None:

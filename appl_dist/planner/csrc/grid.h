@@ -22,6 +22,21 @@ typedef struct {
     int x0, y0, x1, y1;  // columns [x0, x1], rows [y0, y1]; may reach beyond the map
 } grid_box;
 
+typedef struct {
+    int x0, y0, xn, yn;  // columns [x0, xn), rows [y0, yn)
+} grid_window;
+
+static inline bool window_empty(grid_window k) { return k.xn <= k.x0 || k.yn <= k.y0; }
+
+static inline grid_window window_overlap(grid_window a, grid_window b) {
+    return (grid_window){a.x0 > b.x0 ? a.x0 : b.x0, a.y0 > b.y0 ? a.y0 : b.y0, a.xn < b.xn ? a.xn : b.xn,
+                         a.yn < b.yn ? a.yn : b.yn};
+}
+
+static inline grid_window window_grown(grid_window k, int by) {
+    return (grid_window){k.x0 - by, k.y0 - by, k.xn + by, k.yn + by};
+}
+
 // Costmap2D::worldToMap. False for points off the map and for NaN.
 static inline bool world_to_map(const grid_frame *g, double wx, double wy, int *mx, int *my) {
     if (!(wx >= g->ox && wy >= g->oy)) return false;

@@ -1,4 +1,4 @@
-#include "inflation.h"
+#include "stamps.h"
 
 #include <float.h>
 #include <string.h>
@@ -159,35 +159,6 @@ static void run_fire(const inflation *f, inflation_scratch *scratch, uint8_t *ma
     else burn(f, &b, map, w, h, false);
 }
 
-static inline void raise_rows(uint8_t *map, int w, const uint8_t *stamp, int rows, int width) {
-    for (int y = 0; y < rows; ++y)
-        for (int x = 0; x < width; ++x) {
-            const uint8_t a = map[y * w + x], b = stamp[y * width + x];
-            map[y * w + x] = a > b ? a : b;
-        }
-}
-
-static void stamp_all(const inflation *f, uint8_t *map, int w, int h, const int32_t *lethal, int count) {
-    const int r = f->cells, side = 2 * r + 1;
-    for (int i = 0; i < count; ++i) {
-        const int y = lethal[i] / w, x = lethal[i] - y * w;
-        if (x >= r && x + r < w && y >= r && y + r < h) {
-            uint8_t *corner = map + (y - r) * w + x - r;
-            switch (f->stamp_width) {
-                case 16: raise_rows(corner, w, f->stamp, side, 16); break;
-                case 32: raise_rows(corner, w, f->stamp, side, 32); break;
-                default: raise_rows(corner, w, f->stamp, side, INFLATION_STAMP_WIDTH); break;
-            }
-            continue;
-        }
-        for (int cy = y > r ? y - r : 0; cy <= y + r && cy < h; ++cy)
-            for (int cx = x > r ? x - r : 0; cx <= x + r && cx < w; ++cx) {
-                const uint8_t cost = f->stamp[(cy - y + r) * f->stamp_width + cx - x + r];
-                if (map[cy * w + cx] < cost) map[cy * w + cx] = cost;
-            }
-    }
-}
-
 // Lethal cells in row-major order, those among others aside: they are nobody's nearest. Sets `unknown` where one is.
 static int find_lethal(const uint8_t *map, int w, int x0, int y0, int xn, int yn, int32_t *out, bool *unknown) {
     enum { RUN = 32 };
@@ -215,22 +186,23 @@ static int find_lethal(const uint8_t *map, int w, int x0, int y0, int xn, int yn
 
 static int clampi(int v, int low, int high) { return v < low ? low : v > high ? high : v; }
 
-void inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map, int w, int h, int x0, int y0, int xn,
+bool inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map, int w, int h, int x0, int y0, int xn,
                    int yn) {
-    if (f->cells == 0) return;
+    if (f->cells == 0) return false;
     const int r = f->cells;
     x0 = clampi(x0 - r, 0, w), xn = clampi(xn + r, 0, w);
     y0 = clampi(y0 - r, 0, h), yn = clampi(yn + r, 0, h);
-    if (x0 >= xn || y0 >= yn) return;
+    if (x0 >= xn || y0 >= yn) return false;
     bool unknown = false;
     const int count = find_lethal(map, w, x0, y0, xn, yn, scratch->lethal, &unknown);
-    if (!unknown && (f->stamps || r <= INFLATION_EXACT_CELLS)) {
-        stamp_all(f, map, w, h, scratch->lethal, count);
-        return;
+    if (!unknown && stamps_hold(f)) {
+        for (int i = 0; i < count; ++i) stamp_cell(f, map, w, h, scratch->lethal[i]);
+        return true;
     }
     // The fire leaves the window by at most its reach, and looks one cell beyond.
     const int cx0 = clampi(x0 - r - 1, 0, w), cxn = clampi(xn + r + 1, 0, w);
     for (int y = clampi(y0 - r - 1, 0, h); y < clampi(yn + r + 1, 0, h); ++y)
         memset(scratch->best + y * w + cx0, 255, (size_t)(cxn - cx0));
     run_fire(f, scratch, map, w, h, scratch->lethal, count, x0 > r && y0 > r && xn + r < w && yn + r < h);
+    return false;
 }

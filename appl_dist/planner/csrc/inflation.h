@@ -56,6 +56,6 @@ typedef struct {
 bool inflation_set(inflation *f, double radius, double weight, double inscribed, double res);
 // Widens this cycle's bounds as InflationLayer::updateBounds does.
 void inflation_bounds(inflation *f, double *min_x, double *min_y, double *max_x, double *max_y);
-// Inflates the lethal cells in and near columns [x0, xn), rows [y0, yn) of a (h, w) map.
-void inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map, int w, int h, int x0, int y0, int xn,
+// Inflates the lethal cells in and near columns [x0, xn), rows [y0, yn) of a (h, w) map. True when it was by stamps.
+bool inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map, int w, int h, int x0, int y0, int xn,
                    int yn);

@@ -124,6 +124,7 @@ static void start_clock(navigator *n, double now) {
 bool navigator_plan(navigator *n, const double pose[3], double now) {
     if (!n->run_planner || n->state == NAVIGATOR_IDLE) return false;
     if (!isnan(now)) start_clock(n, now);
+    costmap_freed(&n->global, pose[0], pose[1]);
     if (navfn_plan(&n->plan, &n->global.frame, n->global.master, pose[0], pose[1], n->goal[0], n->goal[1])) {
         n->latest_count = n->plan.plan_count;
         memcpy(n->latest, n->plan.plan, sizeof(double) * 2 * (size_t)n->latest_count);

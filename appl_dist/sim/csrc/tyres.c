@@ -50,75 +50,87 @@ static void turn_wheels(const vehicle_spec *spec, vehicle_state *state, double d
     state->wheel_w = clamp(w, state->wheel_w - dw, state->wheel_w + dw);
 }
 
+/* What does not change while the robot drives; contacts in base_link. */
+typedef struct {
+    double inverse_mass, inverse_inertia;
+    double x[CONTACTS], y[CONTACTS], xx, yy; /* m; sums of squares, m^2 */
+    double from_com_x[CONTACTS], from_com_y[CONTACTS];
+} stance;
+
+static stance stand(const vehicle_spec *spec) {
+    stance k = {.inverse_mass = 1.0 / spec->mass, .inverse_inertia = 1.0 / spec->inertia_z};
+    for (int i = 0; i < CONTACTS; ++i) {
+        k.x[i] = i & 2 ? spec->wheel_x : -spec->wheel_x;
+        k.y[i] = (i & 1 ? 1.0 : -1.0) * spec->wheel_y + (i & 4 ? spec->wheel_half_width : -spec->wheel_half_width);
+        k.from_com_x[i] = k.x[i] - spec->com_x, k.from_com_y[i] = k.y[i] - spec->com_y;
+        k.xx += k.x[i] * k.x[i];
+        k.yy += k.y[i] * k.y[i];
+    }
+    return k;
+}
+
 /* Largest friction impulse of each contact, mu N dt. Contacts lie symmetrically about base_link, so the least-norm
  * loads N = a + b x + c y that balance weight and tyre force have a closed form. */
-static void load_contacts(const vehicle_spec *spec, const vehicle_state *state, double c, double s,
-                          const double (*contact)[2], double *limit) {
+static void load_contacts(const vehicle_spec *spec, const stance *k, const vehicle_state *state, double c, double s,
+                          double *limit) {
     const double weight = state->ground_force;
     const double forward = c * state->force_x + s * state->force_y;
     const double left = c * state->force_y - s * state->force_x;
-    double xx = 0.0, yy = 0.0;
+    const double b = (spec->com_x * weight - spec->com_z * forward) / k->xx;
+    const double d = (spec->com_y * weight - spec->com_z * left) / k->yy;
     for (int i = 0; i < CONTACTS; ++i) {
-        xx += contact[i][0] * contact[i][0];
-        yy += contact[i][1] * contact[i][1];
-    }
-    const double b = (spec->com_x * weight - spec->com_z * forward) / xx;
-    const double d = (spec->com_y * weight - spec->com_z * left) / yy;
-    for (int i = 0; i < CONTACTS; ++i) {
-        const double load = weight / CONTACTS + b * contact[i][0] + d * contact[i][1];
+        const double load = weight / CONTACTS + b * k->x[i] + d * k->y[i];
         limit[i] = load > 0.0 ? spec->friction * load * STEP_S : 0.0;
     }
 }
 
-static void solve_friction(const vehicle_spec *spec, vehicle_state *state) {
-    const double c = cos(state->yaw), s = sin(state->yaw);
-    const double inverse_mass = 1.0 / spec->mass, inverse_inertia = 1.0 / spec->inertia_z;
-    double contact[CONTACTS][2], arm[CONTACTS][2], target[CONTACTS][2], scale[CONTACTS][2], limit[CONTACTS];
+/* c, s: cos and sin of the yaw. */
+static void solve_friction(const vehicle_spec *spec, const stance *k, vehicle_state *state, double c, double s) {
+    const double inverse_mass = k->inverse_mass, inverse_inertia = k->inverse_inertia;
+    double arm_x[CONTACTS], arm_y[CONTACTS], scale_x[CONTACTS], scale_y[CONTACTS], limit[CONTACTS];
+    double impulse_x[CONTACTS], impulse_y[CONTACTS], target[2][2];
     for (int i = 0; i < CONTACTS; ++i) {
-        const double side = i & 1 ? 1.0 : -1.0;
-        contact[i][0] = i & 2 ? spec->wheel_x : -spec->wheel_x;
-        contact[i][1] = side * spec->wheel_y + (i & 4 ? spec->wheel_half_width : -spec->wheel_half_width);
-        const double px = contact[i][0] - spec->com_x, py = contact[i][1] - spec->com_y;
-        const double tread = state->wheel_v - side * state->wheel_w * 0.5 * spec->separation;
-        arm[i][0] = c * px - s * py;
-        arm[i][1] = s * px + c * py;
-        target[i][0] = tread * c;
-        target[i][1] = tread * s;
-        scale[i][0] = 1.0 / (inverse_mass + arm[i][1] * arm[i][1] * inverse_inertia);
-        scale[i][1] = 1.0 / (inverse_mass + arm[i][0] * arm[i][0] * inverse_inertia);
+        arm_x[i] = c * k->from_com_x[i] - s * k->from_com_y[i];
+        arm_y[i] = s * k->from_com_x[i] + c * k->from_com_y[i];
+        scale_x[i] = 1.0 / (inverse_mass + arm_y[i] * arm_y[i] * inverse_inertia);
+        scale_y[i] = 1.0 / (inverse_mass + arm_x[i] * arm_x[i] * inverse_inertia);
     }
-    load_contacts(spec, state, c, s, (const double(*)[2])contact, limit);
+    for (int left = 0; left < 2; ++left) {
+        const double side = left ? 1.0 : -1.0, tread = state->wheel_v - side * state->wheel_w * 0.5 * spec->separation;
+        target[left][0] = tread * c;
+        target[left][1] = tread * s;
+    }
+    load_contacts(spec, k, state, c, s, limit);
 
     double vx = state->vx, vy = state->vy, w = state->w;
     for (int i = 0; i < CONTACTS; ++i) {
-        double *impulse = state->impulse[i];
-        impulse[0] = clamp(impulse[0], -limit[i], limit[i]);
-        impulse[1] = clamp(impulse[1], -limit[i], limit[i]);
-        vx += impulse[0] * inverse_mass;
-        vy += impulse[1] * inverse_mass;
-        w += (arm[i][0] * impulse[1] - arm[i][1] * impulse[0]) * inverse_inertia;
+        impulse_x[i] = clamp(state->impulse[i][0], -limit[i], limit[i]);
+        impulse_y[i] = clamp(state->impulse[i][1], -limit[i], limit[i]);
+        vx += impulse_x[i] * inverse_mass;
+        vy += impulse_y[i] * inverse_mass;
+        w += (arm_x[i] * impulse_y[i] - arm_y[i] * impulse_x[i]) * inverse_inertia;
     }
     for (int sweep = 0; sweep < MAX_SWEEPS; ++sweep) {
         double change = 0.0;
         for (int i = 0; i < CONTACTS; ++i) {
-            double *impulse = state->impulse[i];
-            const double slip_x = target[i][0] - (vx - w * arm[i][1]);
-            const double x = clamp(impulse[0] + slip_x * scale[i][0], -limit[i], limit[i]);
-            const double dx = x - impulse[0];
-            impulse[0] = x;
+            const double slip_x = target[i & 1][0] - (vx - w * arm_y[i]);
+            const double x = clamp(impulse_x[i] + slip_x * scale_x[i], -limit[i], limit[i]);
+            const double dx = x - impulse_x[i];
+            impulse_x[i] = x;
             vx += dx * inverse_mass;
-            w -= dx * arm[i][1] * inverse_inertia;
-            const double slip_y = target[i][1] - (vy + w * arm[i][0]);
-            const double y = clamp(impulse[1] + slip_y * scale[i][1], -limit[i], limit[i]);
-            const double dy = y - impulse[1];
-            impulse[1] = y;
+            w -= dx * arm_y[i] * inverse_inertia;
+            const double slip_y = target[i & 1][1] - (vy + w * arm_x[i]);
+            const double y = clamp(impulse_y[i] + slip_y * scale_y[i], -limit[i], limit[i]);
+            const double dy = y - impulse_y[i];
+            impulse_y[i] = y;
             vy += dy * inverse_mass;
-            w += dy * arm[i][0] * inverse_inertia;
+            w += dy * arm_x[i] * inverse_inertia;
             const double largest = fmax(fabs(dx), fabs(dy)) * inverse_mass;
             if (largest > change) change = largest;
         }
         if (change < TOLERANCE) break;
     }
+    for (int i = 0; i < CONTACTS; ++i) state->impulse[i][0] = impulse_x[i], state->impulse[i][1] = impulse_y[i];
     state->force_x = spec->mass * (vx - state->vx) / STEP_S;
     state->force_y = spec->mass * (vy - state->vy) / STEP_S;
     state->vx = vx;
@@ -126,11 +138,12 @@ static void solve_friction(const vehicle_spec *spec, vehicle_state *state) {
     state->w = w;
 }
 
-static void move(const vehicle_spec *spec, vehicle_state *state) {
+/* c, s: cos and sin of the yaw, before and after. */
+static void move(const vehicle_spec *spec, vehicle_state *state, double *c, double *s) {
     /* Semi-implicit: the centre of mass moves along the new velocity, base_link follows rigidly. */
-    const double c0 = cos(state->yaw), s0 = sin(state->yaw);
+    const double c0 = *c, s0 = *s;
     state->yaw += state->w * STEP_S;
-    const double c1 = cos(state->yaw), s1 = sin(state->yaw);
+    const double c1 = *c = cos(state->yaw), s1 = *s = sin(state->yaw);
     const double dx = state->vx * STEP_S + (c0 - c1) * spec->com_x - (s0 - s1) * spec->com_y;
     const double dy = state->vy * STEP_S + (s0 - s1) * spec->com_x + (c0 - c1) * spec->com_y;
     state->x += dx;
@@ -168,14 +181,16 @@ static void ideal_step(const vehicle_spec *spec, vehicle_state *state, int ms) {
 }
 
 void vehicle_advance(const vehicle_spec *spec, vehicle_state *state, int ms) {
+    const stance k = stand(spec);
+    double c = cos(state->yaw), s = sin(state->yaw);
     while (ms > 0) {
         const int step = spec->ideal ? (ms < IDEAL_MS ? ms : IDEAL_MS) : 1;
         if (spec->ideal) {
             ideal_step(spec, state, step);
         } else {
             turn_wheels(spec, state, STEP_S);
-            solve_friction(spec, state);
-            move(spec, state);
+            solve_friction(spec, &k, state, c, s);
+            move(spec, state, &c, &s);
         }
         state->time_ms += step;
         state->command_age_ms += step;

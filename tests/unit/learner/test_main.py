@@ -139,3 +139,25 @@ def test_a_run_that_stopped_and_went_on_equals_one_that_never_stopped(tmp_path: 
             assert second.step()
         found = torch.cat((second.td3.actor.flat, second.td3.critic_target.flat, second.td3.critic_adam.second))
     assert torch.equal(found, wanted)
+
+
+@pytest.mark.parametrize(
+    "extra", [{"version": 3}, {"version": 3, "elapsed_s": "long"}, {"version": 3, "elapsed_s": -1.0}]
+)
+def test_a_checkpoint_without_what_a_restart_needs_is_refused_in_one_sentence(
+    tmp_path: Path, extra: dict[str, object]
+) -> None:
+    with learner(tmp_path) as part:
+        part.checkpoints.save(part.td3, part.rng, {"version": 3, **extra})
+        part.checkpoints.wait()
+        path = part.checkpoints.newest()
+    with pytest.raises(UserError, match=rf"{path}: elapsed_s: got .*; a number, 0 or more"), learner(tmp_path):
+        pass
+
+
+def test_a_damaged_epoch_file_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    with learner(tmp_path):
+        pass
+    (tmp_path / "epoch.json").write_text("{")
+    with pytest.raises(UserError, match=r"epoch\.json: epoch: got None"), learner(tmp_path):
+        pass

@@ -4,7 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from appl_dist.learner import products
 from appl_dist.learner.networks import FlatMLP
+from appl_dist.learner.workers import Workers
 
 SIZES = (7, 16, 12, 3)
 
@@ -44,7 +46,12 @@ def by_autograd(net: FlatMLP, x: Tensor, weights: Tensor) -> tuple[Tensor, Tenso
         (torch.bfloat16, True, 0.2),  # dividing by a small deviation enlarges the rounding
     ],
 )
-def test_forward_and_backward_equal_autograd(dtype: torch.dtype, normalise: bool, tolerance: float) -> None:
+@pytest.mark.parametrize("in_c", [True, False])  # the same on a processor without tiles
+def test_forward_and_backward_equal_autograd(
+    dtype: torch.dtype, normalise: bool, tolerance: float, in_c: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not in_c:
+        monkeypatch.setattr(products, "tiled", lambda *_: False)
     net = network(dtype, normalise=normalise)
     generator = torch.Generator().manual_seed(1)
     x = torch.randn(50, 7, generator=generator)
@@ -62,6 +69,21 @@ def test_forward_and_backward_equal_autograd(dtype: torch.dtype, normalise: bool
     assert error(net.input_gradient(done, weights, 7), by_x) < tolerance
     assert error(net.input_gradient(done, weights, 2), by_x[:, -2:]) < tolerance
     assert float(net.gradient_norm()) == pytest.approx(float(by_flat.norm()), rel=tolerance)
+
+
+@pytest.mark.parametrize("heads", [1, 2])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_the_number_of_threads_changes_no_bit(dtype: torch.dtype, heads: int) -> None:
+    found = []
+    for threads in (1, 2, 5):
+        generator = torch.Generator().manual_seed(0)
+        net = FlatMLP((70, 65, 40, 3), heads, generator, torch.device("cpu"), dtype, workers=Workers(threads))
+        done = net.forward(torch.randn(50, 70, generator=generator))
+        net.backward(done, torch.randn(heads, 50, 3, generator=generator))
+        alone = net.forward(torch.ones(1, 70))  # fewer rows than threads
+        found.append(torch.cat((done.output.flatten(), alone.output.flatten(), gradient(net))))
+    assert torch.equal(found[0], found[1])
+    assert torch.equal(found[0], found[2])
 
 
 def test_the_first_head_alone_equals_the_first_of_both() -> None:

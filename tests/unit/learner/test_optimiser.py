@@ -8,7 +8,8 @@ import torch
 from appl_dist import _native
 from appl_dist.learner import optimiser
 from appl_dist.learner.networks import FlatMLP
-from appl_dist.learner.optimiser import Adam, Workers, average
+from appl_dist.learner.optimiser import Adam, average
+from appl_dist.learner.workers import Workers
 
 DTYPES = [torch.float32, torch.bfloat16]
 

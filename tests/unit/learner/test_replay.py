@@ -311,12 +311,12 @@ def test_with_sync_a_power_cut_at_any_time_costs_nothing_acknowledged(
         shutil.copy(tmp_path / "run" / "meta.json", tmp_path / "elsewhere")
         replay.insert(rollout(0, 1), "gone", 0)
         cuts = PowerCuts(tmp_path / "run", tmp_path / "elsewhere", monkeypatch)
-        for seq in range(25):  # several times around the ring
+        for seq in range(8):  # more than once around the ring
             cuts.given = seq + 1
             assert replay.insert(rollout(10 * seq, 1 + seq % 5), "a", seq)
             cuts.acknowledged = seq + 1
             cuts.check()
-    assert cuts.cuts > 1000
+    assert cuts.cuts > 200
 
 
 def test_one_thread_inserts_while_another_samples() -> None:

@@ -119,13 +119,13 @@ def smoothed_actions(noise: float, clip: float, bias: float, count: int = 20_000
     seen: list[torch.Tensor] = []
     forward = learner.critic_target.forward
 
-    def spy(x: torch.Tensor) -> object:
-        seen.append(x)
-        return forward(x)
+    def spy(obs: torch.Tensor, action: torch.Tensor) -> object:
+        seen.append(action)
+        return forward(obs, action)
 
     learner.critic_target.forward = spy  # type: ignore[assignment, method-assign]
     learner.targets(torch.zeros(count), torch.zeros(count), torch.zeros(count, 4))
-    return seen[0][:, 4]
+    return seen[0][:, 0]
 
 
 def test_target_smoothing_is_clipped_noise_around_the_target_policy() -> None:
