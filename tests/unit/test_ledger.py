@@ -92,5 +92,5 @@ def test_a_run_folder_is_read_whole_and_spools_elsewhere_are_added(spool: Spool,
     assert not run_ledger(tmp_path).agrees
     with pytest.raises(UserError, match="no folder at"):
         run_ledger(tmp_path, [tmp_path / "nowhere"])
-    with pytest.raises(UserError, match="cannot be read"):
+    with pytest.raises(UserError, match="is no run's folder"):
         run_ledger(tmp_path / "nowhere")
