@@ -31,16 +31,17 @@ def actors(settings: Settings) -> int:
     stop = stop_event()
     name = settings.actor.id or f"{settings.wire.identity or ACTOR}-{socket.gethostname()}"
     run = Path(settings.actor.run) if settings.actor.run else None
-    where = whereabouts(run) if run else Whereabouts(settings.wire.endpoint, ended=False)
+    where = Whereabouts("" if run else settings.wire.endpoint, ended=False)
     logs = (run or Path()) / "logs"
-    logs.mkdir(parents=True, exist_ok=True)
+    if run and not run.is_dir():
+        log.info("waiting for the learner that makes %s", run)
     crew = [Child(f"{name}-{i}", [], logs / f"{name}-{i}.log") for i in range(settings.actors or cores())]
     started, look_at = "", 0.0
     try:
         while not stop.is_set():
             if run and time.monotonic() >= look_at:
                 look_at = time.monotonic() + FIND_S
-                where = whereabouts(run)
+                where = whereabouts(run) if run.is_dir() else where
             if where.ended:
                 log.info("the run has ended")
                 return 0
@@ -48,6 +49,7 @@ def actors(settings: Settings) -> int:
                 log.info("%d actors for the learner at %s", len(crew), where.endpoint)
                 stop_all(crew, STOP_S)
                 started = where.endpoint
+                logs.mkdir(parents=True, exist_ok=True)
                 for child in crew:
                     child.arguments = _arguments(settings, where.endpoint, child.name)
                     child.start()

@@ -45,7 +45,6 @@ def appl_dist(*arguments: str, cwd: Path, timeout_s: float = 60.0) -> subprocess
         (["replay", "nowhere", "1"], "nowhere/evaluation.json: cannot be read"),
         (["report", "nowhere"], "expected the folder of an evaluation"),
         (["status", "actor.run=missing"], "actor.run: no folder at missing"),
-        (["actors", "actor.run=missing"], "actor.run: no folder at missing"),
         (["actor", "actor.run=missing"], "actor.run: no folder at missing"),
         (["ledger", "missing"], "missing is no run's folder"),
         (["launch", "launch=slurm"], "launch.actors: got 0"),
