@@ -105,14 +105,14 @@ def episode(env: Any, number: int, seed: int, tally: Tally) -> str:
     return digest.hexdigest()
 
 
-def soak(path: str, timing: str, hours: float, seed: int, number: int, out: Any) -> None:
+def soak(overrides: list[str], hours: float, seed: int, number: int, out: Any) -> None:
     from appl_dist.actor.env import NavigationEnv
     from appl_dist.config import load
     from appl_dist.sim.generate import generate_worlds
     from appl_dist.sim.worlds import load_worlds
 
-    settings = load([f"timing={timing}"])
-    worlds = load_worlds(path) if path else generate_worlds(300, seed)
+    settings = load(overrides)
+    worlds = load_worlds(settings.world.path) if settings.world.path else generate_worlds(300, seed)
     env = NavigationEnv(worlds, timing=settings.timing, planner=settings.planner, robot=settings.robot)
     tally, process, started = Tally(), psutil.Process(), time.process_time()
     first, before = episode(env, 0, seed, tally), time.process_time()
@@ -148,13 +148,15 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=24.0, help="simulated, of each process")
     parser.add_argument("--worlds", default="", help="folder of BARN worlds; generated ones without")
     parser.add_argument("--timing", default="gazebo")
+    parser.add_argument("--arithmetic", choices=["exact", "fast"], default="fast")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=1)
     a = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()
-    arguments = [(a.worlds, a.timing, a.hours, a.seed + k, k, queue) for k in range(a.processes)]
+    overrides = [f"timing={a.timing}", f"world.path={a.worlds}", f"planner.arithmetic={a.arithmetic}"]
+    arguments = [(overrides, a.hours, a.seed + k, k, queue) for k in range(a.processes)]
     processes = [context.Process(target=soak, args=one) for one in arguments]
     for p in processes:
         p.start()

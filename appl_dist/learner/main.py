@@ -57,6 +57,7 @@ SCALARS = {
     "updates": "rate/updates",
 }
 DRAIN_S = 5.0  # after the run's end: for the last rollouts of actors that stop
+REJOIN_S = 8.0  # after a restart: until the actors of before have found the learner again, and can be told the end
 IDLE_S = 0.005
 
 
@@ -87,7 +88,8 @@ class Learner:
         )  # fmt: skip
         self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
         self.rng = np.random.default_rng([run.seed, 0x7D3])
-        self._started = time.monotonic()
+        self._started = self._opened = time.monotonic()
+        self._expected_back = self.replay.actors
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
         self.checkpoints.reserve(self.td3)
@@ -143,8 +145,13 @@ class Learner:
         """Stop the actors, take what they still send, and keep the final policy."""
         self.control.set_state("stop")
         self.limiter.open()
-        deadline = time.monotonic() + DRAIN_S
-        while time.monotonic() < deadline and any(m.role == "actor" and m.alive for m in self.roster.members()):
+        # An actor that is not told goes on for its whole patience, and a run may end right after a restart.
+        rejoined = self._opened + REJOIN_S
+        deadline = max(time.monotonic(), rejoined if self._expected_back else 0.0) + DRAIN_S
+        while (now := time.monotonic()) < deadline:
+            actors = {m.member_id: m.alive for m in self.roster.members() if m.role == "actor"}
+            if not any(actors.values()) and (now >= rejoined or self._expected_back <= actors.keys()):
+                break
             time.sleep(0.05)
         self.version += 1
         with self._told_of_divergence():

@@ -159,6 +159,11 @@ class Replay:
         """Rollouts ever inserted."""
         return int(self._header.data["inserted"][0])
 
+    @property
+    def actors(self) -> frozenset[str]:
+        """Ids of all actors whose rollouts were ever inserted."""
+        return frozenset(self._expected)
+
     def expected_seq(self, actor_id: str) -> int:
         """The sequence number `insert` takes next from this actor; 0 for one never seen."""
         return self._expected.get(actor_id, 0)

@@ -201,3 +201,40 @@ def test_maps_after_any_way_are_those_inflated_at_once(seed):
     planner.set_parameters(with_radius(radius_m))
     planner.update_local(pose)  # a changed radius renews the whole map
     np.testing.assert_array_equal(planner.map(True, False), inflated("exact", radius_m, planner.map(True, True) == 254))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([("exact", 4), ("fast", 10)]), st.booleans())
+def test_maps_renewed_in_part_are_those_made_anew(seed, kind, rolling):
+    """Scans with a little noise, moves, plans: the map kept between updates holds what a planner without its past makes
+    of the same cells and the same window."""
+    arithmetic, cells = kind
+    rng = np.random.default_rng(seed)
+    side_m = float(rng.choice([5.0, 7.0, 10.0]))  # the window reaches the map's edges, or not
+    chosen = PlannerSettings(
+        local_size_m=side_m, global_size_m=side_m, global_origin_m=-side_m / 2, arithmetic=arithmetic
+    )
+    planner, anew = (_native.Planner(chosen, with_radius(0.2)) for _ in range(2))
+    for each in (planner, anew):
+        each.reset(np.array([3.0, 0.0, 0.0]))
+    pose, walls = np.zeros(3), rng.uniform(0.8, 3.5, 60).repeat(12)
+    for _ in range(15):
+        pose = pose + rng.normal(0, [0.05, 0.05, 0.1]) * rng.choice([0, 1, 8])
+        if rng.random() < 0.2:
+            walls[rng.integers(0, 600) :][:100] = rng.uniform(0.8, 3.5)
+        radius = with_radius(round(rng.integers(1, cells + 1) * RES, 3)) if rng.random() < 0.15 else None
+        scan = (walls + rng.normal(0, 0.01, 720)).astype(np.float32)
+        for each in (planner, anew):
+            if radius is not None:
+                each.set_parameters(radius)
+            each.add_scan(scan, pose)
+        origin = planner.origin(rolling)
+        # Loading a map drops what is known of it: the update then makes its whole window anew.
+        before = planner.map(rolling, False)
+        anew.load_map(rolling, before, *origin)
+        for each in (planner, anew):
+            (each.update_local if rolling else each.update_global)(pose)
+        np.testing.assert_array_equal(planner.map(rolling, True), anew.map(rolling, True))
+        np.testing.assert_array_equal(planner.map(rolling, False), anew.map(rolling, False))
+        if not rolling:
+            planner.plan_between(pose[:2], np.array([3.0, 0.0]), False)

@@ -42,7 +42,8 @@ void costmap_freed(costmap *m, double x, double y) {
 // new cells has not been offered to them.
 static void shift_exact(int *from, int *to, int cells, int by, int reach) {
     *from -= by, *to -= by;
-    const int lost = by > 0 ? reach : by < 0 ? 2 * reach - by : 0, behind = by > 0 ? 2 * reach + by : by < 0 ? reach : 0;
+    const int lost = by > 0 ? reach : by < 0 ? 2 * reach - by : 0;
+    const int behind = by > 0 ? 2 * reach + by : by < 0 ? reach : 0;
     if (*from < lost) *from = lost;
     if (*to > cells - behind) *to = cells - behind;
 }

@@ -153,6 +153,7 @@ void stamps_renew(const inflation *f, inflation_scratch *scratch, const uint8_t 
     for (int i = 0; i < 5; ++i) renew(layer, map, w, r, window, parts[i], &t);
     for (int i = 0; i < l.count; ++i) {
         const int y = l.cells[i] / w, x = l.cells[i] - y * w;
-        if (t.rows[(y - t.near.y0) >> t.shift] >> ((x - t.near.x0) >> t.shift) & 1) stamp_cell(f, map, w, h, l.cells[i]);
+        const uint64_t row = t.rows[(y - t.near.y0) >> t.shift];
+        if (row >> ((x - t.near.x0) >> t.shift) & 1) stamp_cell(f, map, w, h, l.cells[i]);
     }
 }
