@@ -86,7 +86,8 @@ def test_a_learner_killed_five_times_still_learns(cluster: Cluster) -> None:
 
 def updates_and_due(run: Path) -> tuple[float, float]:
     """Updates made by the last report, and how many 64 samples per transition are in batches of 256."""
-    last = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
+    lines = (run / "metrics.jsonl").read_text().splitlines()
+    last = next(json.loads(line) for line in reversed(lines) if line.endswith("}"))
     return last["rate/updates"], 64.0 * (last["step"] - 60) / 256.0
 
 
@@ -190,7 +191,7 @@ def test_a_full_spool_holds_the_actor_back_and_drains_in_order(tmp_path: Path) -
 
 
 def stale_share(run: Path) -> float:
-    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines() if line.endswith("}")]
     return max(line.get("policy/stale_share", 0.0) for line in lines)
 
 
