@@ -42,7 +42,7 @@ class NavigationLoop:
         self.navigator = navigator
         self.timing = timing
         self.on_sample: Callable[[], None] | None = None  # told whenever the lidar has fired
-        self._core: Loop = simulator.couple(navigator.native, timing)
+        self._core = Loop(*simulator.native, navigator.native, simulator.lidar.mount_x_m, timing)
         self._contact_s = 0.0
 
     def reset(self, world: World, seed: int, start: Array, rules: TrialRules) -> None:

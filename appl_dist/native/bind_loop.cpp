@@ -81,7 +81,6 @@ class Loop {
         return {triple(e.pose_odom), {e.twist[0], e.twist[1]}};
     }
     std::tuple<Triple, int64_t> newest() const { return {triple(l_->newest.pose), l_->newest.time_ms}; }
-    bool over() const { return l_->test.over; }
     bool success() const { return l_->test.success; }
     bool failed() const { return trial_failed(&l_->test, l_->body); }
     bool timed_out() const { return trial_timed_out(&l_->test, l_->now_ms); }
@@ -143,7 +142,6 @@ void bind_loop(nb::module_ &m) {
         .def_prop_ro("now_ms", &Loop::now_ms)
         .def_prop_ro("estimate", &Loop::estimate)
         .def_prop_ro("newest", &Loop::newest)
-        .def_prop_ro("over", &Loop::over)
         .def_prop_ro("success", &Loop::success)
         .def_prop_ro("failed", &Loop::failed)
         .def_prop_ro("timed_out", &Loop::timed_out)

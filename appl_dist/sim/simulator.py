@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import math
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist._native import CONTACT_MS, Loop, Robot
+from appl_dist._native import CONTACT_MS, Lidar, Robot
 from appl_dist.sim.bullet import BulletBody, Pose
 from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
 from appl_dist.sim.worlds import Floats, World
@@ -113,9 +112,10 @@ class Simulator:
             self.contact_step(step_ms)
             ms -= step_ms
 
-    def couple(self, planner: Any, timing: Any) -> Loop:
-        """Robot and lidar in one C loop with a planner's core; see `actor/loop.py`."""
-        return Loop(self._robot, self._caster, planner, self.lidar.mount_x_m, timing)
+    @property
+    def native(self) -> tuple[Robot, Lidar]:
+        """The C robot and lidar behind this object, for the loop that runs them with a planner."""
+        return self._robot, self._caster
 
     def contact_step(self, ms: int) -> None:
         """One step where contacts are possible: predict freely, let pybullet resolve, correct."""

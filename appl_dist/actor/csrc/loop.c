@@ -31,7 +31,10 @@ void rate_finish(rate *r, int64_t now_ms) {
 /* Index of the newest that has arrived, -1 for none. */
 static int arrived(const loop_queue *q, int64_t now_ms) {
     int found = -1;
-    while (found + 1 < q->count && q->stamp[(q->first + found + 1) % LOOP_QUEUE].time_ms + q->delay_ms <= now_ms) ++found;
+    for (int i = 0; i < q->count; ++i) {
+        if (q->stamp[(q->first + i) % LOOP_QUEUE].time_ms + q->delay_ms > now_ms) break;
+        found = i;
+    }
     return found;
 }
 
@@ -85,8 +88,10 @@ static void give_scan(navigation_loop *l, int64_t now_ms) {
     loop_stamp s;
     if (!take(&l->scans, now_ms, &s)) return;
     const double start = clock_s();
-    const double from[3] = {s.pose[0] + l->lidar_x * cos(s.pose[2]), s.pose[1] + l->lidar_x * sin(s.pose[2]), s.pose[2]};
-    lidar_cast(l->sensor, from, l->body->cylinders, l->body->count, l->body->state.seed, (uint64_t)s.time_ms, l->ranges);
+    const robot *body = l->body;
+    const double yaw = s.pose[2];
+    const double from[3] = {s.pose[0] + l->lidar_x * cos(yaw), s.pose[1] + l->lidar_x * sin(yaw), yaw};
+    lidar_cast(l->sensor, from, body->cylinders, body->count, body->state.seed, (uint64_t)s.time_ms, l->ranges);
     spent(l, STAGE_LIDAR, start);
     navigator_add_scan(l->planner, l->ranges, s.pose_odom);
 }
@@ -107,7 +112,8 @@ static void run_control(navigation_loop *l, int64_t now_ms) {
     double out[2];
     navigator_control(l->planner, l->estimate.pose_odom, l->estimate.twist, (double)now_ms / 1000.0, out);
     const double steps = (double)l->planner->local_plan.rollouts.rollout_steps;
-    l->control_done_ms = now_ms + delay_ms(l, l->timing.control_base_ms + l->timing.control_us_per_step * steps / 1000.0);
+    const double work_ms = l->timing.control_base_ms + l->timing.control_us_per_step * steps / 1000.0;
+    l->control_done_ms = now_ms + delay_ms(l, work_ms);
     l->flying[(l->flying_first + l->flying_count) % LOOP_QUEUE] =
         (loop_command){l->control_done_ms + l->timing.command_delay_ms, out[0], out[1]};
     l->flying_count += 1;
@@ -115,33 +121,31 @@ static void run_control(navigation_loop *l, int64_t now_ms) {
     spent(l, STAGE_CONTROL, start);
 }
 
+/* A map's cycle: the newest scan, then the map, unless whoever reads it holds it until later. */
+static void run_map(navigation_loop *l, int64_t now_ms, rate *cycle, int64_t held_until_ms, loop_stage stage,
+                    void (*update)(navigator *, const double *)) {
+    if (now_ms < held_until_ms) {
+        rate_wait(cycle, held_until_ms);
+        return;
+    }
+    give_scan(l, now_ms);
+    const double start = clock_s();
+    update(l->planner, l->estimate.pose_odom);
+    rate_finish(cycle, now_ms);
+    spent(l, stage, start);
+}
+
 /* The map, plan or control cycle that is due. */
 static void compute(navigation_loop *l, int64_t now_ms) {
     take(&l->estimates, now_ms, &l->estimate);
-    const double *pose = l->estimate.pose_odom;
     if (now_ms == l->local.due) {
-        if (now_ms < l->control_done_ms) { /* control holds the local map */
-            rate_wait(&l->local, l->control_done_ms);
-            return;
-        }
-        give_scan(l, now_ms);
-        const double start = clock_s();
-        navigator_update_local(l->planner, pose);
-        rate_finish(&l->local, now_ms);
-        spent(l, STAGE_LOCAL_MAP, start);
+        run_map(l, now_ms, &l->local, l->control_done_ms, STAGE_LOCAL_MAP, navigator_update_local);
     } else if (now_ms == l->global.due) {
-        if (l->planning && now_ms < l->plan_done_ms) { /* planning holds the global map */
-            rate_wait(&l->global, l->plan_done_ms);
-            return;
-        }
-        give_scan(l, now_ms);
-        const double start = clock_s();
-        navigator_update_global(l->planner, pose);
-        rate_finish(&l->global, now_ms);
-        spent(l, STAGE_GLOBAL_MAP, start);
+        const int64_t held_until_ms = l->planning ? l->plan_done_ms : 0;
+        run_map(l, now_ms, &l->global, held_until_ms, STAGE_GLOBAL_MAP, navigator_update_global);
     } else if (!l->planning && now_ms == l->plan.due) {
         /* The map is held while planning, so computing at the end from the pose at the start is the same. */
-        memcpy(l->planning_from, pose, sizeof l->planning_from);
+        memcpy(l->planning_from, l->estimate.pose_odom, sizeof l->planning_from);
         l->planning = 1;
         l->plan_done_ms = now_ms + delay_ms(l, l->timing.plan_ms);
     } else if (l->planning && now_ms == l->plan_done_ms) {

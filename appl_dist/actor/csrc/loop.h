@@ -53,7 +53,15 @@ typedef enum {
     LOOP_BROKEN,  /* the robot's pose is no number any more */
 } loop_pause;
 
-typedef enum { STAGE_PHYSICS, STAGE_LIDAR, STAGE_LOCAL_MAP, STAGE_GLOBAL_MAP, STAGE_PLAN, STAGE_CONTROL, STAGES } loop_stage;
+typedef enum {
+    STAGE_PHYSICS,
+    STAGE_LIDAR,
+    STAGE_LOCAL_MAP,
+    STAGE_GLOBAL_MAP,
+    STAGE_PLAN,
+    STAGE_CONTROL,
+    STAGES
+} loop_stage;
 
 typedef struct {
     robot *body;

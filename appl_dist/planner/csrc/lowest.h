@@ -37,11 +37,9 @@ static inline void lowest_build(lowest_tree *t, int count) {
     }
 }
 
-static inline double lowest_value(const lowest_tree *t) { return lowest_of_eight(t->level[t->depth - 1]); }
-
 // Place of the first of the lowest.
 static inline int lowest_first(const lowest_tree *t) {
-    const double lowest = lowest_value(t);
+    const double lowest = lowest_of_eight(t->level[t->depth - 1]);
     int at = 0;
     for (int k = t->depth - 1; k >= 0; --k) {
         const double *v = t->level[k] + LOWEST_FAN * at;

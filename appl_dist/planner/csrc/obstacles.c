@@ -66,8 +66,7 @@ WIDE static void find_cells(const grid_frame *g, const observation *seen, int fr
 }
 
 // Loops of one plain operation each, so that they become vector code.
-static inline __attribute__((always_inline)) void widen_axis(const double *v, const double *square, double reach,
-                                                             double *low, double *high) {
+ALWAYS_INLINE void widen_axis(const double *v, const double *square, double reach, double *low, double *high) {
     double a[CHUNK], b[CHUNK];
     for (int i = 0; i < CHUNK; ++i) a[i] = square[i] < reach ? v[i] : INFINITY;
     for (int i = 0; i < CHUNK; ++i) b[i] = square[i] < reach ? v[i] : -INFINITY;

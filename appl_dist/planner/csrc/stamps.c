@@ -6,59 +6,41 @@
 #include <emmintrin.h>
 #endif
 
-static inline void raise_rows(uint8_t *map, int w, const uint8_t *stamp, int rows, int width) {
-    for (int y = 0; y < rows; ++y)
-        for (int x = 0; x < width; ++x) {
-            const uint8_t a = map[y * w + x], b = stamp[y * width + x];
-            map[y * w + x] = a > b ? a : b;
-        }
+#include "wide.h"
+
+// What a stamp makes of a cell: it raises it or, taken back, frees it where it holds just what the stamp gives.
+ALWAYS_INLINE uint8_t stamped(uint8_t cell, uint8_t cost, bool back) {
+    if (back) return cell == cost ? COST_FREE : cell;
+    return cell > cost ? cell : cost;
 }
 
-// Frees the cells that hold no more than the stamp gives.
-static inline void free_rows(uint8_t *map, int w, const uint8_t *stamp, int rows, int width) {
+ALWAYS_INLINE void stamp_rows(uint8_t *map, int w, const uint8_t *stamp, int rows, int width, bool back) {
     for (int y = 0; y < rows; ++y)
-        for (int x = 0; x < width; ++x) {
-            const uint8_t a = map[y * w + x], b = stamp[y * width + x];
-            map[y * w + x] = a == b ? COST_FREE : a;
+        for (int x = 0; x < width; ++x) map[y * w + x] = stamped(map[y * w + x], stamp[y * width + x], back);
+}
+
+// Lays the stamp of cell (x, y) on the part of a map, w cells wide, that lies in window k.
+ALWAYS_INLINE void lay(const inflation *f, uint8_t *map, int w, grid_window k, int x, int y, bool back) {
+    const int r = f->cells, side = 2 * r + 1;
+    const grid_window all = {x - r, y - r, x + r + 1, y + r + 1}, part = window_overlap(k, all);
+    if (part.x0 == all.x0 && part.y0 == all.y0 && part.xn == all.xn && part.yn == all.yn) {
+        uint8_t *corner = map + all.y0 * w + all.x0;
+        switch (f->stamp_width) {
+            case 16: stamp_rows(corner, w, f->stamp, side, 16, back); break;
+            case 32: stamp_rows(corner, w, f->stamp, side, 32, back); break;
+            default: stamp_rows(corner, w, f->stamp, side, INFLATION_STAMP_WIDTH, back); break;
+        }
+        return;
+    }
+    for (int cy = part.y0; cy < part.yn; ++cy)
+        for (int cx = part.x0; cx < part.xn; ++cx) {
+            const uint8_t cost = f->stamp[(cy - all.y0) * f->stamp_width + cx - all.x0];
+            map[cy * w + cx] = stamped(map[cy * w + cx], cost, back);
         }
 }
 
 void stamp_cell(const inflation *f, uint8_t *map, int w, int h, int cell) {
-    const int r = f->cells, side = 2 * r + 1, y = cell / w, x = cell - y * w;
-    if (x >= r && x + r < w && y >= r && y + r < h) {
-        uint8_t *corner = map + (y - r) * w + x - r;
-        switch (f->stamp_width) {
-            case 16: raise_rows(corner, w, f->stamp, side, 16); break;
-            case 32: raise_rows(corner, w, f->stamp, side, 32); break;
-            default: raise_rows(corner, w, f->stamp, side, INFLATION_STAMP_WIDTH); break;
-        }
-        return;
-    }
-    for (int cy = y > r ? y - r : 0; cy <= y + r && cy < h; ++cy)
-        for (int cx = x > r ? x - r : 0; cx <= x + r && cx < w; ++cx) {
-            const uint8_t cost = f->stamp[(cy - y + r) * f->stamp_width + cx - x + r];
-            if (map[cy * w + cx] < cost) map[cy * w + cx] = cost;
-        }
-}
-
-// Frees what a cell lethal no longer may have given to the window.
-static void unstamp_cell(const inflation *f, uint8_t *map, int w, grid_window k, int x, int y) {
-    const int r = f->cells, side = 2 * r + 1;
-    if (x - r >= k.x0 && x + r < k.xn && y - r >= k.y0 && y + r < k.yn) {
-        uint8_t *corner = map + (y - r) * w + x - r;
-        switch (f->stamp_width) {
-            case 16: free_rows(corner, w, f->stamp, side, 16); break;
-            case 32: free_rows(corner, w, f->stamp, side, 32); break;
-            default: free_rows(corner, w, f->stamp, side, INFLATION_STAMP_WIDTH); break;
-        }
-        return;
-    }
-    const grid_window part = window_overlap(k, (grid_window){x - r, y - r, x + r + 1, y + r + 1});
-    for (int cy = part.y0; cy < part.yn; ++cy)
-        for (int cx = part.x0; cx < part.xn; ++cx) {
-            const uint8_t cost = f->stamp[(cy - y + r) * f->stamp_width + cx - x + r];
-            if (map[cy * w + cx] == cost) map[cy * w + cx] = COST_FREE;
-        }
+    lay(f, map, w, (grid_window){0, 0, w, h}, cell % w, cell / w, false);
 }
 
 // One bit for each of 64 cells: lethal.
@@ -145,7 +127,7 @@ void stamps_renew(const inflation *f, inflation_scratch *scratch, const uint8_t 
     const int32_t *end = scratch->lethal + (ptrdiff_t)w * h;
     for (int i = 1; i <= l.gone; ++i) {
         const int y = end[-i] / w, x = end[-i] - y * w;
-        unstamp_cell(f, map, w, window, x, y);
+        lay(f, map, w, window, x, y, true);
         want(&t, window_grown((grid_window){x, y, x + 1, y + 1}, 2 * r));
     }
     const grid_window parts[5] = {{k.x0, k.y0, k.xn, e.y0}, {k.x0, e.yn, k.xn, k.yn}, {k.x0, e.y0, e.x0, e.yn},
