@@ -153,7 +153,7 @@ def learning_figure(
     below.set_ylim(0.0, 1.02)
     below.set_xlim(0.0, float(np.max(transitions)))
     below.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
-    above.legend(loc="upper right", fontsize=8, frameon=False)
+    below.legend(loc="lower right", fontsize=8, frameon=False)  # where success is not
     below.set_xlabel("transitions in replay")
     return figure
 

@@ -42,10 +42,10 @@ def decision_of(recording: Recording) -> NDArray[np.int64]:
 
 
 def map_figure(recordings: Sequence[Recording], what: str = SPEED, columns: int = 4) -> Figure:
-    """One map a recording, the path coloured by `what`, on a common scale."""
+    """One map a recording, in rows of at most `columns`, the path coloured by `what`, on a common scale."""
     rows = -(-len(recordings) // columns)
     figure = new_figure(2.7 * rows + 0.2)
-    panels = figure.subplots(rows, min(columns, len(recordings)), squeeze=False).ravel()
+    panels = figure.subplots(rows, -(-len(recordings) // rows), squeeze=False).ravel()  # rows as even as they go
     values = [path_values(r, what) for r in recordings]
     top = max((float(v.max()) for v, _ in values), default=1.0)
     bottom = 0.0 if what == SPEED else min(float(v.min()) for v, _ in values)
