@@ -4,7 +4,7 @@ One process acts and learns in turns. Each run is scored without exploration on 
 way; a trial that fails counts 70 s. Every finished run is a line in OUT/runs.jsonl and is not run again; `--report`
 only prints the table.
 
-    python benchmarks/navigation_options.py --worlds BARN [--variants plain mirror ...] [--seeds 3] [--transitions 1000]
+    python benchmarks/navigation_options.py --worlds BARN [--variants plain mirror ...] [--seeds 3] [--transitions 2000]
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ from appl_dist.learner.augment import mirrored
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
+from appl_dist.planner.parameters import PlannerSettings
 from appl_dist.spec import OBSERVATION_SIZE, FloatArray
 
-GAMMA, WARM_UP, SCORES, TRIALS, FAILED_S = 0.99, 300, 2, 3, 70.0
+GAMMA, WARM_UP, SCORES, TRIALS, FAILED_S = 0.99, 300, 4, 3, 70.0
+HIDDEN = (256, 256)
 EXPLORATION = ExplorationSettings(sigma_start=0.4, sigma_floor=0.1, uniform_fraction=0.1)
 WORLDS = "1,61,122,183,239,290"
 
@@ -46,10 +48,12 @@ class Variant:
     reset: bool = False
     priority_exponent: float = 0.0
     normalise: bool = False
+    precision: str = "auto"
 
 
 VARIANTS = {
     "plain": Variant(),
+    "plain, fp32": Variant(precision="fp32"),
     "n-step 4": Variant(n_step=4),
     "mirror": Variant(mirror=True),
     "layer norm": Variant(layer_norm=True),
@@ -80,7 +84,7 @@ class Trial:
 
     def __init__(self, env: NavigationEnv, variant: Variant, seed: int, transitions: int) -> None:
         self.env, self.variant, self.seed, self.transitions = env, variant, seed, transitions
-        self.settings = TD3Settings(hidden=(256, 256), layer_norm=variant.layer_norm)
+        self.settings = TD3Settings(hidden=HIDDEN, layer_norm=variant.layer_norm, precision=variant.precision)
         self.learner = TD3(self.settings, OBSERVATION_SIZE, len(env.space), seed)
         self.replay = Replay(None, 20_000, variant.n_step, GAMMA, priority_exponent=variant.priority_exponent)
         self.rng = np.random.default_rng(seed)
@@ -195,7 +199,7 @@ def main() -> None:
     parser.add_argument("--split", default=WORLDS)
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--transitions", type=int, default=1000)
+    parser.add_argument("--transitions", type=int, default=2000)
     parser.add_argument("--out", type=Path, default=Path("outputs/navigation_options"))
     parser.add_argument("--report", action="store_true")
     args = parser.parse_args()
@@ -203,7 +207,8 @@ def main() -> None:
     results = args.out / "runs.jsonl"
     runs = [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
     if not args.report:
-        env = NavigationEnv(select_worlds(args.worlds, 300, 0, args.split))
+        worlds = select_worlds(args.worlds, 300, 0, args.split)
+        env = NavigationEnv(worlds, planner=PlannerSettings(arithmetic="fast"))  # as actors train
         for seed, name in itertools.product(range(args.seeds), args.variants):  # seeds outside: an early end is fair
             if any(r["variant"] == name and r["seed"] == seed for r in runs):
                 continue

@@ -64,8 +64,8 @@ class Task:
 
 TASKS = (
     Task("Pendulum-v1", 8_000, 5, 500, 10, 500, 0.98),
-    Task("Hopper-v5", 10_000, 3, 1_000, 5, 1_000, 0.99),
-    Task("HalfCheetah-v5", 10_000, 3, 1_000, 3, 1_000, 0.99),
+    Task("Hopper-v5", 30_000, 3, 2_000, 5, 1_000, 0.99),
+    Task("HalfCheetah-v5", 30_000, 3, 2_000, 3, 1_000, 0.99),
 )
 
 
@@ -219,7 +219,7 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", choices=names, default=names)
     parser.add_argument("--learners", nargs="+", choices=list(LEARNERS), default=list(LEARNERS))
     parser.add_argument("--seeds", type=int, help="instead of 5 for Pendulum and 3 for the others")
-    parser.add_argument("--steps", type=int, help="instead of 8,000 for Pendulum and 10,000 for the others")
+    parser.add_argument("--steps", type=int, help="instead of 8,000 for Pendulum and 30,000 for the others")
     parser.add_argument("--out", type=Path, default=Path("outputs/td3_tasks"))
     args = parser.parse_args()
     torch.set_num_threads(1)

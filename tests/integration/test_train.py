@@ -52,8 +52,9 @@ class Run:
         )
 
     def children(self, role: str) -> list[psutil.Process]:
+        """Living processes of a role; one that was killed has no command line until its parent has waited for it."""
         found = psutil.Process(self.process.pid).children(recursive=True)
-        return [p for p in found if role in p.cmdline()]
+        return [p for p in found if role in _command(p)]
 
     def wait_for(self, what: Callable[[], object], timeout_s: float = 90.0) -> None:
         deadline = time.monotonic() + timeout_s
@@ -78,6 +79,13 @@ class Run:
         file = self.folder / "metrics.jsonl"
         lines = file.read_text().splitlines() if file.exists() else []
         return int(json.loads(lines[-1])["step"]) if lines else 0
+
+
+def _command(process: psutil.Process) -> list[str]:
+    try:
+        return list(process.cmdline())
+    except psutil.NoSuchProcess:  # gone, or a zombie
+        return []
 
 
 def accounts(folder: Path) -> dict[str, tuple[int, int, int]]:
