@@ -104,7 +104,7 @@ def main() -> None:
     parser.add_argument("--timing", default="gazebo")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--arithmetic", choices=["exact", "fast"], default="exact")
+    parser.add_argument("--arithmetic", choices=["exact", "fast"], default="fast", help="fast: as actors train")
     a = parser.parse_args()
     overrides = [f"timing={a.timing}", f"world.path={a.worlds}", f"planner.arithmetic={a.arithmetic}"]
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in `appl-dist actor`: its idle threads would take a core

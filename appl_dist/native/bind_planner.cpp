@@ -144,7 +144,7 @@ public:
     // `whole`: the wave covers all that NavFn's covers, not only what the plan needs.
     nb::object plan_between(const Array &start, const Array &goal, bool whole) {
         const double *s = finite(start, "start", 2), *g = finite(goal, "goal", 2);
-        n_->plan.fresh = false;
+        navfn_restart(&n_->plan);
         n_->plan.whole = whole;
         costmap_freed(&n_->global, s[0], s[1]);
         navfn_plan(&n_->plan, &n_->global.frame, n_->global.master, s[0], s[1], g[0], g[1]);

@@ -15,6 +15,7 @@ import pytest
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.protocol import PROTOCOLS
+from appl_dist.planner.parameters import Arithmetic, PlannerSettings
 from appl_dist.sim.generate import generate_worlds
 
 EPISODES = 50
@@ -46,9 +47,9 @@ def episode(env: NavigationEnv, number: int) -> tuple[str, bool]:
     return digest.hexdigest(), simulator.collided
 
 
-def run(history: str) -> list[tuple[str, bool]]:
+def run(history: str, arithmetic: Arithmetic) -> list[tuple[str, bool]]:
     """All episodes; "plain" in order, "used" backwards, in a process that did other things before and between."""
-    env = NavigationEnv(WORLDS)
+    env = NavigationEnv(WORLDS, planner=PlannerSettings(arithmetic=arithmetic))
     if history == "plain":
         return [episode(env, k) for k in range(EPISODES)]
     np.random.seed(1)  # noqa: NPY002
@@ -68,11 +69,12 @@ def run(history: str) -> list[tuple[str, bool]]:
 
 
 @pytest.mark.slow
-def test_fifty_episodes_are_the_same_in_two_processes_with_different_pasts() -> None:
+@pytest.mark.parametrize("arithmetic", ["exact", "fast"])
+def test_fifty_episodes_are_the_same_in_two_processes_with_different_pasts(arithmetic: Arithmetic) -> None:
     root = Path(__file__).resolve().parents[2]
     processes = [
         subprocess.Popen(
-            [sys.executable, "-m", "tests.integration.test_determinism", history],
+            [sys.executable, "-m", "tests.integration.test_determinism", history, arithmetic],
             cwd=root,
             env={**os.environ, "PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": seed},
             stdout=subprocess.PIPE,
@@ -88,4 +90,4 @@ def test_fifty_episodes_are_the_same_in_two_processes_with_different_pasts() -> 
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(run(sys.argv[1])))
+    sys.stdout.write(json.dumps(run(sys.argv[1], "fast" if sys.argv[2] == "fast" else "exact")))

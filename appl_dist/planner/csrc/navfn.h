@@ -4,8 +4,10 @@
 #include "costmap.h"
 
 enum { NAVFN_BUFFER = 10000 };  // entries a priority buffer holds; more are dropped, as in ROS
+enum { NAVFN_NEUTRAL = 50 };    // cost of a free cell
+#define NAVFN_NONE 1.0e10f      // potential of a cell no wave came to
 
-// Potential by which the bounded wave reaches beyond what it needs; see navfn.c. The small one moves a plan by
+// Potential by which the bounded wave reaches beyond what it needs; see navfn_wave.c. The small one moves a plan by
 // micrometres as a rule, by millimetres in one of a hundred.
 #define NAVFN_MARGIN_EXACT 1600.0f
 #define NAVFN_MARGIN_FAST 100.0f
@@ -14,7 +16,7 @@ typedef struct {
     int w, h;
     uint8_t *master;         // (h, w) the costmap `cost` was made from
     uint8_t *cost;           // (h, w) traversal cost 50..253, 254 blocked; the outer ring is blocked
-    float *potential;        // (h, w) 1e10 where no wave came
+    float *potential;        // (h, w) NAVFN_NONE where no wave came
     float *step;             // (h, w) cost * 1/sqrt(2); infinite for cells blocked or in a buffer already
     float *remain;           // (h, w) lower bound of what the wave adds from there to the goal's cell
     int remain_goal;         // the cell `remain` is about, -1 for none
@@ -32,7 +34,7 @@ typedef struct {
     bool whole;              // no bound: every potential is NavFn's
     bool single;             // the wave in single precision
     float margin;            // NAVFN_MARGIN_…
-    float bound;             // the wave spreads only where it can still matter: see navfn.c
+    float bound;             // the wave spreads only where it can still matter: see navfn_wave.c
     float goal_potential;    // of the last plan, 0 for none
     long cells;              // cells the wave looked at
     uint8_t cost_of[256];
@@ -41,6 +43,7 @@ typedef struct {
 } navfn;
 
 void navfn_init(navfn *n);
+void navfn_restart(navfn *n);  // no plan yet: nothing of an earlier drive has an influence on the next
 void navfn_sync(navfn *n, const uint8_t *master, grid_window window);  // takes over changed costs
 // Plan from start to goal; the start's cell of `master` is freed. False, and no plan, when there is none.
 bool navfn_plan(navfn *n, const grid_frame *frame, uint8_t *master, double start_x, double start_y, double goal_x,

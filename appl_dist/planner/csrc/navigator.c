@@ -37,8 +37,8 @@ void navigator_reset(navigator *n, const double goal[3]) {
     costmap_clear(&n->local, 0, 0);
     costmap_clear(&n->global, n->set.global_origin_m, n->set.global_origin_m);
     navfn_sync(&n->plan, n->global.master, n->global.touched);
-    n->plan.fresh = false;
-    n->plan.plan_count = n->latest_count = 0;
+    navfn_restart(&n->plan);
+    n->latest_count = 0;
     local_planner_reset(&n->local_plan);
     memcpy(n->goal, goal, sizeof n->goal);
     n->seen.count = 0;
