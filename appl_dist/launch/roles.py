@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -142,6 +143,8 @@ def actor(settings: Settings) -> int:
             log.info("the run in %s has ended", own.run)
             return 0
         wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
+    # The first process of a container does not have the usual end by SIGTERM.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with open_session(wire, listen=False, identity=identity) as session:
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
         stop = stop_event()  # until here there is nothing to end in order

@@ -11,6 +11,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import zenoh
@@ -36,9 +37,23 @@ def open_session(settings: WireSettings, listen: bool, identity: str = "") -> Se
         zenoh.init_log_from_env_or("off")  # refusals reach users as our sentences; RUST_LOG shows zenoh's own
     config = zenoh.Config.from_json5(json.dumps(_config(settings, listen, identity)))
     try:
-        return Session(zenoh.open(config))
+        return Session(_open(config))
     except zenoh.ZError as error:
         raise UserError(_why(settings, listen, str(error))) from error
+
+
+def _open(config: zenoh.Config) -> zenoh.Session:
+    """`zenoh.open` in a thread of its own: in the main thread no signal would be heard until it gives up."""
+    opened: Future[zenoh.Session] = Future()
+
+    def run() -> None:
+        try:
+            opened.set_result(zenoh.open(config))
+        except BaseException as error:
+            opened.set_exception(error)
+
+    threading.Thread(target=run, name="zenoh-open", daemon=True).start()
+    return opened.result()
 
 
 def _why(settings: WireSettings, listen: bool, error: str) -> str:

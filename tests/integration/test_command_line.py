@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import subprocess
 import sys
@@ -75,6 +76,20 @@ def test_an_actor_without_a_learner_says_so(tmp_path: Path) -> None:
     result = appl_dist("actor", "wire.endpoint=tcp/127.0.0.1:9", "wire.timeout_s=1", cwd=tmp_path)
     assert result.returncode == 2
     assert "no learner answered at tcp/127.0.0.1:9" in result.stderr
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_actor_that_still_connects_ends_at_once(number: signal.Signals, status: int, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        endpoint = f"wire.endpoint=tcp/127.0.0.1:{silent.getsockname()[1]}"
+        command = [sys.executable, "-m", "appl_dist", "actor", endpoint, "wire.timeout_s=120"]
+        actor = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+        silent.settimeout(60.0)
+        silent.accept()[0].close()  # it has called
+        actor.send_signal(number)
+        _, told = actor.communicate(timeout=60.0)
+    assert actor.returncode == status
+    assert "Traceback" not in told
 
 
 def test_a_taken_port_is_told_by_train(tmp_path: Path) -> None:
