@@ -133,15 +133,15 @@ void bind_learner(nb::module_ &m) {
     m.def("adam", &adam, nb::arg("parameters"), nb::arg("gradient"), nb::arg("first_moment"), nb::arg("second_moment"),
           nb::arg("copy").none(), nb::kw_only(), nb::arg("step"), nb::arg("rate"), nb::arg("beta1"), nb::arg("beta2"),
           nb::arg("epsilon"),
-          "One Adam step in place on (n,) float32 vectors. gradient: (n,) float32, or uint16 bits of bfloat16; copy: (n,) "
-          "uint16, receives the parameters as bfloat16, or None. step counts from 1.");
+          "One Adam step in place on (n,) float32 vectors. gradient: (n,) float32, or uint16 bits of bfloat16; copy: "
+          "(n,) uint16, receives the parameters as bfloat16, or None. step counts from 1.");
     m.def("polyak", &polyak, nb::arg("target"), nb::arg("parameters"), nb::arg("copy").none(), nb::kw_only(),
           nb::arg("tau"), "target += tau (parameters - target) in place, (n,) float32; copy as in adam.");
     m.def("has_tiles", [] { return amx_available() != 0; }, "Whether `Product` can run on this processor.");
     nb::class_<Product>(m, "Product",
                         "out (m, n) = a (m, k) b (k, n) + bias (1, n), all bfloat16, summed in float32. transpose_a, "
-                        "transpose_b: a, b are stored transposed. relu: negative results become 0. open (m, n): results "
-                        "become 0 where it is not positive. sums (1, n) becomes the sums of b's columns.")
+                        "transpose_b: a, b are stored transposed. relu: negative results become 0. open (m, n): "
+                        "results become 0 where it is not positive. sums (1, n) becomes the sums of b's columns.")
         .def(nb::init<const appl::Array &, const appl::Array &, const appl::Array &, bool, bool,
                       const std::optional<appl::Array> &, bool, const std::optional<appl::Array> &,
                       const std::optional<appl::Array> &>(),

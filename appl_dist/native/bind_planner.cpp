@@ -264,7 +264,8 @@ private:
         const double *v = checked<const double>(a, name, {n});
         for (long i = 0; i < n; ++i)
             // In float32: the planner of ROS reads poses and velocities in that precision.
-            if (!std::isfinite(static_cast<float>(v[i]))) throw nb::value_error((std::string(name) + ": holds a value that is not finite").c_str());
+            if (!std::isfinite(static_cast<float>(v[i])))
+                throw nb::value_error((std::string(name) + ": holds a value that is not finite").c_str());
         return v;
     }
     std::unique_ptr<char, Free> memory_;

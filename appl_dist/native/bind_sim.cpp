@@ -77,7 +77,8 @@ class Lidar {
     Lidar(size_t beams, double angle_min, double angle_max, double range_min, double range_max, double noise_sd)
         : cosines_(beams), sines_(beams),
           l_{{beams, angle_min, 0.0, range_min, range_max, noise_sd}, cosines_.data(), sines_.data()} {
-        if (beams < 4 || !(angle_max > angle_min)) throw nb::value_error("beams: a lidar has at least 4, angles rising");
+        if (beams < 4 || !(angle_max > angle_min))
+            throw nb::value_error("beams: a lidar has at least 4, angles rising");
         l_.spec.increment = (angle_max - angle_min) / static_cast<double>(beams - 1);
         lidar_directions(&l_.spec, cosines_.data(), sines_.data());
     }

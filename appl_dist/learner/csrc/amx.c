@@ -10,7 +10,8 @@ static size_t packed_bytes(size_t outer, size_t k) { return 2 * blocks(outer, BL
 
 size_t amx_scratch(size_t m, size_t n, size_t k) { return packed_bytes(m, k) + packed_bytes(n, k); }
 
-#if defined(__x86_64__) && defined(__linux__) && ((defined(__clang__) && __clang_major__ >= 13) || (!defined(__clang__) && __GNUC__ >= 11))
+#if defined(__x86_64__) && defined(__linux__) && \
+    ((defined(__clang__) && __clang_major__ >= 13) || (!defined(__clang__) && __GNUC__ >= 11))
 
 #include <cpuid.h>
 #include <immintrin.h>
@@ -27,7 +28,8 @@ int amx_available(void) {
     static int known; /* 0: not asked yet */
     if (!known) {
         unsigned a, b, c, d, a1, x;
-        const int tiles = __get_cpuid_count(7, 0, &a, &b, &c, &d) && (d >> 22 & 1) && (d >> 24 & 1) /* AMX-BF16, -TILE */
+        const int tiles = __get_cpuid_count(7, 0, &a, &b, &c, &d)
+                          && (d >> 22 & 1) && (d >> 24 & 1) /* AMX-BF16, AMX-TILE */
                           && (b >> 16 & 1) && (b >> 17 & 1) && (b >> 30 & 1) && (b >> 31 & 1) /* AVX512F, DQ, BW, VL */
                           && __get_cpuid_count(7, 1, &a1, &x, &x, &x) && (a1 >> 5 & 1);       /* AVX512-BF16 */
         known = tiles && syscall(SYS_arch_prctl, ARCH_REQ_XCOMP_PERM, XFEATURE_XTILEDATA) == 0 ? 1 : -1;
@@ -53,7 +55,8 @@ AVX512 static inline void flip(__m512i v[16]) {
         u[i + 3] = _mm512_unpackhi_epi64(t[i + 1], t[i + 3]);
     }
     for (int c = 0; c < 4; ++c) {
-        const __m512i even = _mm512_shuffle_i32x4(u[c], u[4 + c], 0x88), odd = _mm512_shuffle_i32x4(u[c], u[4 + c], 0xdd);
+        const __m512i even = _mm512_shuffle_i32x4(u[c], u[4 + c], 0x88);
+        const __m512i odd = _mm512_shuffle_i32x4(u[c], u[4 + c], 0xdd);
         const __m512i even2 = _mm512_shuffle_i32x4(u[8 + c], u[12 + c], 0x88);
         const __m512i odd2 = _mm512_shuffle_i32x4(u[8 + c], u[12 + c], 0xdd);
         v[c] = _mm512_shuffle_i32x4(even, even2, 0x88);
@@ -74,13 +77,14 @@ AVX512 static inline void across(const uint16_t *from, size_t step, size_t rows,
     for (size_t i = 0; i < TILE_ROWS; ++i) {
         __m512i low = _mm512_setzero_si512(), high = low;
         if (2 * i < rows) low = _mm512_cvtepu16_epi32(_mm256_maskz_loadu_epi16(columns, from + 2 * i * step));
-        if (2 * i + 1 < rows) high = _mm512_cvtepu16_epi32(_mm256_maskz_loadu_epi16(columns, from + (2 * i + 1) * step));
+        if (2 * i + 1 < rows)
+            high = _mm512_cvtepu16_epi32(_mm256_maskz_loadu_epi16(columns, from + (2 * i + 1) * step));
         v[i] = _mm512_or_si512(low, _mm512_slli_epi32(high, 16));
     }
 }
 
-/* Tiles [outer / 16][k / 32] of a factor; `deep` if its stored rows run along the depth, `turned` if the tile unit wants
- * the depth in the tile's rows where `along` and `across` leave it in the columns, or the other way round. */
+/* Tiles [outer / 16][k / 32] of a factor; `deep` if its stored rows run along the depth, `turned` if the tile unit
+ * wants the depth in the tile's rows where `along` and `across` leave it in the columns, or the other way round. */
 AVX512 static void pack(const amx_factor *f, size_t outer, size_t k, int deep, int turned, uint16_t *to) {
     const size_t depth = blocks(k, DEPTH), count = 2 * blocks(outer, BLOCK);
     for (size_t i = 0; i < count * depth; ++i) { /* along the stored rows, whichever way they run */

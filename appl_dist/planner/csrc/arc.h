@@ -1,5 +1,5 @@
 // Where a sample leads, without stepping there. Once its velocities are reached a roll-out runs on an arc of equal
-// steps, and each of its poses has a closed form. It differs from the sum of steps in ROS by rounding, less than 1e-10 m;
+// steps, and each of its poses has a closed form. It differs from the sum of steps in ROS by rounding, below 1e-10 m;
 // who asks for cells takes a point within CELL_DOUBT of a cell's edge for undecided, and steps there instead.
 #pragma once
 #include <string.h>

@@ -85,7 +85,8 @@ void costmap_update(costmap *m, inflation_scratch *scratch, const planner_settin
     if (m->inflate.need_reinflation) m->exact = (grid_window){0, 0, 0, 0};
     inflation_bounds(&m->inflate, &b.min_x, &b.min_y, &b.max_x, &b.max_y);
 
-    const int x0 = world_to_map_clamped(b.min_x, g->ox, w, g->res), y0 = world_to_map_clamped(b.min_y, g->oy, h, g->res);
+    const int x0 = world_to_map_clamped(b.min_x, g->ox, w, g->res);
+    const int y0 = world_to_map_clamped(b.min_y, g->oy, h, g->res);
     const int xn = world_to_map_clamped(b.max_x, g->ox, w, g->res) + 1;
     const int yn = world_to_map_clamped(b.max_y, g->oy, h, g->res) + 1;
     m->touched = (grid_window){0, 0, 0, 0};

@@ -137,7 +137,8 @@ static inline void burn(const inflation *f, brushfire *b, uint8_t *map, int w, i
                     const int y = cell / w, x = cell - y * w;
                     const bool open[4] = {x > 0, y > 0, x < w - 1, y < h - 1};
                     for (int k = 0; k < to->count; ++k)
-                        if (open[to->side[k]]) offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
+                        if (open[to->side[k]])
+                            offer(b, to->bin[k], cell + step[to->side[k]], offset + turn[to->side[k]]);
                     continue;
                 }
                 if (to->count == 0) continue;

@@ -45,7 +45,7 @@ typedef struct {
     int cells, bins;                   // reach in cells; distinct distances
     inflation_moves moves[INFLATION_SIDE * INFLATION_SIDE];  // by offset
     uint8_t cost_of_bin[INFLATION_BINS_MAX];
-    bool stamps;             // cells take the cost of their nearest obstacle; the fire misses it for two in ten thousand
+    bool stamps;             // cells take the cost of their nearest obstacle; the fire misses it for 2 in 10,000
     uint8_t stamp[INFLATION_STAMP_ROWS * INFLATION_STAMP_WIDTH];  // costs around an obstacle, rows of stamp_width
     int stamp_width;
     bool need_reinflation;

@@ -17,8 +17,8 @@ static inline float planar_wave(float across, float along, float cost) {
 // A cell takes its potential from neighbours whose p + h is lower, or higher by less than one cell's rise. What a
 // missing neighbour changes is at most 0.0046 of a cell's cost and at least halves with every further cell, so it dies
 // out below float32 within some dozen cells of the bound; NAVFN_MARGIN_EXACT keeps the path, and the cells its gradient
-// reads, farther away. That is an argument, not a proof; what is known is from comparing with the whole wave. Random maps
-// and all reference plans: the same bits. Of 20562 plans of 60 recorded drives 12, all of one drive and by at most
+// reads, farther away. That is an argument, not a proof; what is known is from comparing with the whole wave. Random
+// maps and all reference plans: the same bits. Of 20562 plans of 60 recorded drives 12, all of one drive and by at most
 // 0.3 mm, differ with a margin of 1300, none with 1600. A bound from a wave rooted at the goal does not help: even one
 // without any error needs this width, and then saves only a tenth of the cells.
 #define RISE_PER_CELL 49.0f
@@ -70,8 +70,10 @@ static inline void update_cells(navfn *n, const buffer *now, float threshold, bu
         for (int j = 0; j < 4; ++j) beside[j] = p[around[j]];
         const float across = beside[0] < beside[1] ? beside[0] : beside[1];
         const float along = beside[2] < beside[3] ? beside[2] : beside[3];
-        const float before = p[i], potential = single ? planar_wave_single(across, along, costs[i], n->per_cost[costs[i]])
-                                                      : planar_wave(across, along, costs[i]);
+        const uint8_t cost = costs[i];
+        const float potential = single ? planar_wave_single(across, along, cost, n->per_cost[cost])
+                                       : planar_wave(across, along, cost);
+        const float before = p[i];
         if (!(potential < before) || !(potential + remain[i] <= bound)) continue;
         *reached = i;
         reached += before >= NAVFN_NONE;

@@ -11,8 +11,8 @@ static inline bool stamps_hold(const inflation *f) {
 // `map` is (h, w), readable LAYER_PADDING bytes beyond its end.
 void stamp_cell(const inflation *f, uint8_t *map, int w, int h, int cell);
 
-// What copying `window` of `layer` (h, w; lethal or free) to `map` and inflation_run would do, given that `map` is what
-// they left behind: its cells in `exact` and in the window hold the cost of their nearest lethal cell in `map`, those in
-// `freed` excepted, and what is lethal there has been stamped beyond it.
+// What copying `window` of `layer` (h, w; lethal or free) to `map` and inflation_run would do, given that `map` is
+// what they left behind: its cells in `exact` and in the window hold the cost of their nearest lethal cell in `map`,
+// those in `freed` excepted, and what is lethal there has been stamped beyond it.
 void stamps_renew(const inflation *f, inflation_scratch *scratch, const uint8_t *layer, uint8_t *map, int w, int h,
                   grid_window window, grid_window exact, grid_window freed);

@@ -80,7 +80,7 @@ WIDE void lidar_cast(const lidar *sensor, const double pose[3], const double *cy
         for (int k = 0; k < count; ++k) {
             const double half = seen.half[k];
             if (half < 0.0) continue;
-            /* The span may also be reached a turn before or on, for beams near +-pi of a lidar that sees behind itself. */
+            /* Reached a turn before or on as well, for beams near +-pi of a lidar that sees behind itself. */
             double middle = seen.centre[k];
             while (middle - turn + half >= 0.0) middle -= turn;
             for (; middle - half <= (double)(beams - 1); middle += turn) {
