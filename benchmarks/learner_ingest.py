@@ -75,7 +75,8 @@ def endpoint() -> str:
 
 def learner(bus: Bus, folder: Path, train: bool) -> Learner:
     """A learner that never holds an upload back, and trains at full speed or not at all."""
-    from appl_dist.learner.main import Learner, Run
+    from appl_dist.learner.main import Learner
+    from appl_dist.learner.run import Run
 
     settings = LearnerSettings(
         td3=TD3Settings(), replay_capacity=500_000, samples_tolerance=FOR_EVER,

@@ -110,7 +110,8 @@ def learner(settings: Settings) -> int:
 def build_learner(settings: Settings, bus: Bus) -> Learner:
     """The learner of `settings`, new or continued from its run folder, which `prepare` has made. Raises UserError."""
     try:
-        from appl_dist.learner.main import Learner, Run
+        from appl_dist.learner.main import Learner
+        from appl_dist.learner.run import Run
     except ImportError as error:
         raise UserError(f"the learner needs torch: pip install 'appl-dist[learner]' ({error})") from None
 

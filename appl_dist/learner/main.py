@@ -12,7 +12,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +24,13 @@ from appl_dist.learner.checkpoint import Checkpoints
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.ingest import Ingest
 from appl_dist.learner.limiter import RateLimiter
-from appl_dist.learner.metrics import MetricsWriter
 from appl_dist.learner.replay import Replay
+from appl_dist.learner.report import Report
+from appl_dist.learner.run import Run
 from appl_dist.learner.settings import LearnerSettings
 from appl_dist.learner.td3 import TD3, Diverged, read
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import OBSERVATION_SIZE, ParameterSpace, Rollout
+from appl_dist.spec import OBSERVATION_SIZE, Rollout
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.codec import Ack, UploadHeader
 from appl_dist.wire.control import ControlServer
@@ -41,40 +41,9 @@ from appl_dist.wire.weights import WeightsPublisher
 log = logging.getLogger(__name__)
 
 POLICY_FILE = "policy.safetensors"
-# What of the status goes to TensorBoard and metrics.jsonl, and its name there.
-SCALARS = {
-    "success": "episode/success",
-    "time_s": "episode/time_s",
-    "return": "episode/return",
-    "episodes": "episode/count",
-    "staleness": "policy/staleness",
-    "stale_share": "policy/stale_share",
-    "version": "policy/version",
-    "sigma": "policy/noise_sigma",
-    "transitions_per_s": "rate/transitions_per_s",
-    "updates_per_s": "rate/updates_per_s",
-    "samples_per_insert": "rate/samples_per_insert",
-    "updates": "rate/updates",
-}
 DRAIN_S = 5.0  # after the run's end: for the last rollouts of actors that stop
 REJOIN_S = 8.0  # after a restart: until the actors of before have found the learner again, and can be told the end
 IDLE_S = 0.005
-
-
-@dataclass(frozen=True)
-class Run:
-    """What this run is: its id, folder, seed, length, and the frozen configuration served to actors."""
-
-    run_id: str
-    folder: Path
-    seed: int
-    transitions: int
-    minutes: float
-    config: dict[str, Any]
-    space: ParameterSpace
-    failed_time_s: float
-    sigma: Callable[[int], float]  # exploration noise after so many transitions, for the status
-    sync: bool = False  # what is acknowledged is on the disk
 
 
 class Learner:
@@ -96,22 +65,18 @@ class Learner:
         self.epoch = self._resume()
         self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
         self.statistics = EpisodeStatistics(run.failed_time_s)
-        self.metrics = MetricsWriter(run.folder)
-        self._rates = _Rates()
         self._publishing = _Every(settings.publish_every_s)
         self._reporting = _Every(settings.report_every_s)
         self._saving = _Every(settings.checkpoint_every_s)
-        self._last: dict[str, float] = {}
-        self._status = self._status_now()
         self.ingest = Ingest(self.replay, self.limiter, run.run_id)
         self.publisher = WeightsPublisher(bus, run.run_id)
         self._published_updates = -1
         self._publish()
         self.roster = Roster(bus, run.run_id)
         self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
-        self.control = ControlServer(
-            bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=self._status_told
-        )
+        self.report = Report(run, self.td3, self.replay, self.statistics, self.roster, self.server, self._elapsed_s)
+        self.report.renew(self.version)
+        self.control = ControlServer(bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=self.report.told)
 
     def run(self, stop: Callable[[], bool], leave: Callable[[], bool] = lambda: False) -> None:
         """Train until the run's transitions or minutes are reached, or `stop()`; then stop all actors.
@@ -137,7 +102,7 @@ class Learner:
             if may_learn:
                 self._update()
             self._publishing.run(self._publish)
-            self._reporting.run(self._report)
+            self._reporting.run(lambda: self.report.write(self.version))
             self._saving.run(self.save)
         return may_learn
 
@@ -157,7 +122,7 @@ class Learner:
         with self._told_of_divergence():
             self.save()
             self.checkpoints.wait()
-        self._report()
+        self.report.write(self.version)
         counts, refused = self.server.counts, self.server.refused()
         log.info(
             "ended at %d transitions, %d updates; this process stored %d rollouts, answered %d repeats, refused %d%s",
@@ -169,7 +134,7 @@ class Learner:
         """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
         self.checkpoints.save(self.td3, self.rng, self._counts())
         self._policy().save(self.run_info.folder / POLICY_FILE)
-        self._report_worlds()
+        self.report.write_worlds()
 
     @contextmanager
     def _told_of_divergence(self) -> Iterator[None]:
@@ -189,7 +154,7 @@ class Learner:
             self.publisher,
             self.roster,
             self.checkpoints,
-            self.metrics,
+            self.report,
             self.replay,
         ):
             part.close()
@@ -237,7 +202,7 @@ class Learner:
         if batch.rows is not None:
             self.replay.prioritise(batch.rows, self.td3.errors.cpu().numpy())
         if detail:
-            self._last.update(read(metrics))
+            self.report.learned(read(metrics))
 
     def _policy(self) -> PolicyFile:
         weights, biases = self.td3.policy_arrays()
@@ -260,67 +225,6 @@ class Learner:
         except ValueError as error:  # a weight that is not finite, or beyond float16
             raise Diverged(str(error)) from None
         self.publisher.publish(self.epoch, self.version, blob)
-
-    def _report(self) -> None:
-        self._rates.mark(self.replay.transitions_total, self.td3.updates)
-        self._status = status = self._status_now()
-        scalars = {SCALARS[k]: float(status[k]) for k in SCALARS if status[k] is not None}
-        self.metrics.write(self.replay.transitions_total, {**scalars, **self._named(self._last)})
-
-    def _report_worlds(self) -> None:
-        """Success and time of every training world so far: with the checkpoints, being two numbers a world."""
-        scalars: dict[str, float] = {}
-        for world, (_, success, time_s) in sorted(self.statistics.worlds().items()):
-            scalars |= {f"world_success/{world}": success, f"world_time_s/{world}": time_s}
-        if scalars:
-            self.metrics.write(self.replay.transitions_total, scalars)
-
-    def _named(self, numbers: dict[str, float]) -> dict[str, float]:
-        """Saturation by the parameter's name instead of its number."""
-        names = self.run_info.space.names
-        return {
-            f"saturation/{names[int(k.split('/')[1])]}" if k.startswith("saturation/") else k: v
-            for k, v in numbers.items()
-        }
-
-    def _status_told(self) -> dict[str, Any]:
-        """The last status, with its age: a learner that hangs still answers, from the wire's thread."""
-        return {**self._status, "age_s": self._elapsed_s() - self._status["elapsed_s"]}
-
-    def _status_now(self) -> dict[str, Any]:
-        """What the terminal view, the metrics file and TensorBoard show."""
-        transitions = self.replay.transitions_total
-        actors = []
-        if hasattr(self, "roster"):
-            for m in self.roster.members():
-                if m.role == "actor" and m.alive:
-                    actors.append(
-                        {
-                            "id": m.member_id,
-                            "transitions_per_s": m.rate,
-                            "world": m.progress.get("world", -1),
-                            "version": m.progress.get("policy_version", -1),
-                            "pending": m.progress.get("pending", 0),
-                            "silent_s": m.silent_s,
-                            "host": str(m.progress.get("host", "")),
-                        }
-                    )
-        return {
-            "run_id": self.run_info.run_id,
-            "run_transitions": self.run_info.transitions,
-            "transitions": transitions,
-            "updates": self.td3.updates,
-            "elapsed_s": self._elapsed_s(),
-            "transitions_per_s": self._rates.transitions_per_s,
-            "updates_per_s": self._rates.updates_per_s,
-            "samples_per_insert": self._samples() / max(transitions, 1),
-            "refused": self.server.refused() if hasattr(self, "server") else {},
-            "queue": sum(a["pending"] for a in actors),
-            "version": self.version,
-            "sigma": self.run_info.sigma(transitions),
-            **self.statistics.figures(),
-            "actors": actors,
-        }
 
 
 def _read_json(file: Path) -> Any:
@@ -370,19 +274,3 @@ class _Every:
         if now >= self._due:
             self._due = now + self._period_s
             action()
-
-
-class _Rates:
-    """Transitions and updates per second between the last two reports."""
-
-    def __init__(self) -> None:
-        self._at = time.monotonic()
-        self._before: tuple[int, int] | None = None
-        self.transitions_per_s = self.updates_per_s = 0.0
-
-    def mark(self, transitions: int, updates: int) -> None:
-        now = time.monotonic()
-        if self._before is not None and now > self._at:
-            self.transitions_per_s = (transitions - self._before[0]) / (now - self._at)
-            self.updates_per_s = (updates - self._before[1]) / (now - self._at)
-        self._at, self._before = now, (transitions, updates)

@@ -13,7 +13,8 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from appl_dist.errors import UserError
-from appl_dist.learner.main import Learner, Run, _Every
+from appl_dist.learner.main import Learner, _Every
+from appl_dist.learner.run import Run
 from appl_dist.learner.settings import LearnerSettings, TD3Settings
 from appl_dist.spec import DWA, OBSERVATION_SIZE, Rollout
 from appl_dist.wire.codec import UploadHeader
@@ -67,7 +68,7 @@ def test_every_number_of_the_run_reaches_both_files(tmp_path: Path) -> None:
         give(part)
         for _ in range(4):
             assert part.step()
-        part._report()
+        part.report.write(part.version)
         part.save()
     records = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     found = {name: value for record in records for name, value in record.items()}

@@ -1,0 +1,26 @@
+"""What a learner is told of the run it serves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from appl_dist.spec import ParameterSpace
+
+
+@dataclass(frozen=True)
+class Run:
+    """What this run is: its id, folder, seed, length, and the frozen configuration served to actors."""
+
+    run_id: str
+    folder: Path
+    seed: int
+    transitions: int
+    minutes: float
+    config: dict[str, Any]
+    space: ParameterSpace
+    failed_time_s: float
+    sigma: Callable[[int], float]  # exploration noise after so many transitions, for the status
+    sync: bool = False  # what is acknowledged is on the disk
