@@ -4,7 +4,7 @@ One process acts and learns in turns. Each run is scored without exploration on 
 way; a trial that fails counts 70 s. Every finished run is a line in OUT/runs.jsonl and is not run again; `--report`
 only prints the table.
 
-    python benchmarks/navigation_options.py --worlds BARN [--variants plain mirror ...] [--seeds 3] [--transitions 2000]
+    python benchmarks/navigation_options.py --worlds BARN [--variants NAME ...] [--seeds 3] [--transitions 2000]
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import argparse
 import itertools
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.exploration import ExplorationSettings, explore
 from appl_dist.actor.rollout import collect
 from appl_dist.actor.worldset import select_worlds
-from appl_dist.learner.augment import mirrored
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
@@ -39,15 +38,12 @@ WORLDS = "1,61,122,183,239,290"
 
 @dataclass(frozen=True)
 class Variant:
-    """What is added to TD3. updates: per transition; reset: all networks are drawn afresh half-way."""
+    """What is added to TD3. updates: per transition."""
 
     n_step: int = 1
-    mirror: bool = False
     layer_norm: bool = False
     updates: int = 1
-    reset: bool = False
     priority_exponent: float = 0.0
-    normalise: bool = False
     precision: str = "auto"
 
 
@@ -55,28 +51,10 @@ VARIANTS = {
     "plain": Variant(),
     "plain, fp32": Variant(precision="fp32"),
     "n-step 4": Variant(n_step=4),
-    "mirror": Variant(mirror=True),
     "layer norm": Variant(layer_norm=True),
     "4 updates": Variant(updates=4),
-    "4 updates, reset": Variant(updates=4, reset=True),
     "prioritised": Variant(priority_exponent=0.6),
-    "normalised observations": Variant(normalise=True),
-    "n-step 4, mirror, layer norm": Variant(n_step=4, mirror=True, layer_norm=True),
 }
-
-
-class Scaling:
-    """Observations to zero mean and unit variance, by those of the warm-up."""
-
-    def __init__(self) -> None:
-        self.mean, self.factor = np.float32(0.0), np.float32(1.0)
-
-    def fit(self, observations: FloatArray) -> None:
-        self.mean = observations.mean(0)
-        self.factor = 1.0 / np.maximum(observations.std(0), 0.05).astype(np.float32)
-
-    def __call__(self, observations: FloatArray) -> FloatArray:
-        return (observations - self.mean) * self.factor
 
 
 class Trial:
@@ -88,8 +66,6 @@ class Trial:
         self.learner = TD3(self.settings, OBSERVATION_SIZE, len(env.space), seed)
         self.replay = Replay(None, 20_000, variant.n_step, GAMMA, priority_exponent=variant.priority_exponent)
         self.rng = np.random.default_rng(seed)
-        self.scaling = Scaling()
-        self.debt = 0  # updates owed for the transitions collected
 
     def run(self) -> dict[str, Any]:
         began = time.process_time()
@@ -115,7 +91,7 @@ class Trial:
         raise AssertionError
 
     def _act(self, observation: FloatArray) -> FloatArray:
-        x = torch.from_numpy(self.scaling(observation)[None])
+        x = torch.from_numpy(observation[None])
         action: FloatArray = self.learner.actor.forward(x).output[0, 0].tanh().numpy()
         return action
 
@@ -128,19 +104,9 @@ class Trial:
         if total < WARM_UP:
             return
         if total - new < WARM_UP:
-            if self.variant.normalise:
-                self.scaling.fit(self.replay.sample(total, self.rng).observations)
             new = total
-        half = self.transitions // 2
-        if self.variant.reset and total - new < half <= total:
-            self.learner = TD3(self.settings, OBSERVATION_SIZE, len(self.env.space), self.seed + 1_000_000)
         for _ in range(new * self.variant.updates):
             batch = self.replay.sample(self.settings.batch_size, self.rng)
-            if self.variant.mirror:
-                batch = mirrored(batch, self.rng)
-            if self.variant.normalise:
-                observations, following = self.scaling(batch.observations), self.scaling(batch.next_observations)
-                batch = replace(batch, observations=observations, next_observations=following)
             self.learner.update(batch)
             if batch.rows is not None:
                 self.replay.prioritise(batch.rows, self.learner.errors.numpy())

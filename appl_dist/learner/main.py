@@ -19,7 +19,6 @@ import numpy as np
 
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
-from appl_dist.learner.augment import mirrored
 from appl_dist.learner.checkpoint import Checkpoints
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.ingest import Ingest
@@ -195,8 +194,6 @@ class Learner:
 
     def _update(self) -> None:
         batch = self.replay.sample(self.settings.td3.batch_size, self.rng)
-        if self.settings.mirror:
-            batch = mirrored(batch, self.rng)
         detail = self.td3.updates % self.settings.detail_every == 0
         metrics = self.td3.update(batch, detail)
         if batch.rows is not None:

@@ -53,17 +53,15 @@ class LearnerSettings:
     """The learner process around `TD3`.
 
     gamma, n_step: of the n-step returns that replay computes. priority_exponent: how strongly TD errors decide what
-    is sampled, 0 for uniformly. mirror: learn from half of each batch as seen in a mirror. replay_capacity:
-    transitions. samples_per_insert: how often each transition is sampled on average; samples_tolerance: by how
-    many transitions either side may run ahead. min_transitions: collected before learning starts. Periods in
-    seconds; detail_every in updates.
+    is sampled, 0 for uniformly. replay_capacity: transitions. samples_per_insert: how often each transition is
+    sampled on average; samples_tolerance: by how many transitions either side may run ahead. min_transitions:
+    collected before learning starts. Periods in seconds; detail_every in updates.
     """
 
     td3: TD3Settings = field(default_factory=TD3Settings)
     gamma: float = 0.99
     n_step: int = 1
     priority_exponent: float = 0.0
-    mirror: bool = False
     replay_capacity: int = 1_000_000
     samples_per_insert: float = 256.0
     samples_tolerance: int = 1000
