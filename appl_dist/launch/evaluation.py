@@ -14,8 +14,8 @@ from rich.console import Console
 from appl_dist.actor.worldset import select_worlds, split_groups
 from appl_dist.config import Settings, as_dict, cores
 from appl_dist.evaluate.workers import Crew
+from appl_dist.launch.environment import environment_arguments
 from appl_dist.launch.replay import open_env
-from appl_dist.launch.roles import environment_arguments
 from appl_dist.launch.view import make_console
 
 log = logging.getLogger(__name__)

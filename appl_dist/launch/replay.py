@@ -13,7 +13,7 @@ from appl_dist.errors import UserError
 from appl_dist.evaluate.folder import Evaluation, read_evaluation
 from appl_dist.evaluate.provenance import code
 from appl_dist.evaluate.replay import check_settings, find_trial, replay, trial_name
-from appl_dist.launch.roles import environment_arguments
+from appl_dist.launch.environment import environment_arguments
 
 MOMENT_MS = 100
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +21,9 @@ from appl_dist.actor.main import Explorer, act, actor_seed
 from appl_dist.actor.spool import Spool, SpoolInUse
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
+from appl_dist.launch.environment import EVALUATION, environment_arguments, worlds_of
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts, worlds_of
-from appl_dist.planner.parameters import Arithmetic
+from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -37,24 +37,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-EVALUATION = "evaluation_of"  # in what is served to actors: no training run, but trials under these settings
 DRAIN_S = 5.0  # an actor's last rollouts
 MAX_ACTORS = 10_000
 LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not started yet
 HELD_ROLLOUTS = 2  # an actor that the learner told to wait stops collecting at this many unsent rollouts
-
-
-def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = None) -> dict[str, Any]:
-    """Arguments of `NavigationEnv` beside the worlds and the protocol; arithmetic: instead of the planner's own."""
-    return {
-        "decision_period_s": settings.env.decision_period_s,
-        "space": SPACES[settings.env.space],
-        "timing": settings.timing,
-        "rewards": settings.reward,
-        "planner": replace(settings.planner, arithmetic=arithmetic or settings.planner.arithmetic),
-        "robot": settings.robot,
-        "lidar": settings.lidar,
-    }
 
 
 def stop_event() -> threading.Event:

@@ -8,19 +8,14 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appl_dist.actor.worldset import select_worlds
 from appl_dist.config import CONFIG_FILE, Settings, as_dict, load
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
-from appl_dist.sim.worlds import World
+from appl_dist.launch.environment import worlds_of
 from appl_dist.wire.keys import is_name
 
 LEARNER_FILE = "learner.json"
 _EVERYWHERE = ("0.0.0.0", "[::]")
-
-
-def worlds_of(settings: Settings, split: str) -> list[World]:
-    return select_worlds(settings.world.path, settings.world.count, settings.world.seed, split)
 
 
 def run_folder(settings: Settings) -> Path:

@@ -21,8 +21,7 @@ from appl_dist.config import Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.evaluate.runner import NavigationRunner
 from appl_dist.evaluate.trials import Job, Method, Trial
-from appl_dist.launch.roles import EVALUATION, environment_arguments
-from appl_dist.launch.runs import worlds_of
+from appl_dist.launch.environment import EVALUATION, environment_arguments, worlds_of
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, ControlServer
 from appl_dist.wire.liveness import Presence, Roster

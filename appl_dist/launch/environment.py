@@ -1,0 +1,32 @@
+"""The environment that settings describe: its worlds, and its arguments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from appl_dist.actor.worldset import select_worlds
+from appl_dist.config import Settings
+from appl_dist.planner.parameters import Arithmetic
+from appl_dist.sim.worlds import World
+from appl_dist.spec import SPACES
+
+EVALUATION = "evaluation_of"  # in what is served to actors: no training run, but trials under these settings
+
+
+def worlds_of(settings: Settings, split: str) -> list[World]:
+    """The worlds of a split, such as `settings.world.train`. Raises UserError."""
+    return select_worlds(settings.world.path, settings.world.count, settings.world.seed, split)
+
+
+def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = None) -> dict[str, Any]:
+    """Arguments of `NavigationEnv` beside the worlds and the protocol; arithmetic: instead of the planner's own."""
+    return {
+        "decision_period_s": settings.env.decision_period_s,
+        "space": SPACES[settings.env.space],
+        "timing": settings.timing,
+        "rewards": settings.reward,
+        "planner": replace(settings.planner, arithmetic=arithmetic or settings.planner.arithmetic),
+        "robot": settings.robot,
+        "lidar": settings.lidar,
+    }
