@@ -82,8 +82,9 @@ def test_an_actor_without_a_learner_says_so(tmp_path: Path) -> None:
 def test_an_actor_that_still_connects_ends_at_once(number: signal.Signals, status: int, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         endpoint = f"wire.endpoint=tcp/127.0.0.1:{silent.getsockname()[1]}"
-        command = [sys.executable, "-m", "appl_dist", "actor", endpoint, "wire.timeout_s=120"]
-        actor = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+        # A shell that runs us in the background has SIGINT ignored.
+        command = ["env", "--default-signal=INT", sys.executable, "-m", "appl_dist", "actor", endpoint]
+        actor = subprocess.Popen([*command, "wire.timeout_s=120"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
         silent.settimeout(60.0)
         silent.accept()[0].close()  # it has called
         actor.send_signal(number)
