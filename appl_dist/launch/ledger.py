@@ -6,6 +6,7 @@ Rollouts still in replay are recognised by a digest of their bytes; those that t
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -125,9 +126,11 @@ def run_ledger(folder: Path, elsewhere: Iterable[Path] = ()) -> Ledger:
 
 def main(arguments: list[str], console: Console) -> int:
     """Print the ledger of `RUN [SPOOL …]`; status 0 if the accounts agree."""
-    if not arguments or arguments[0].startswith("-"):
-        raise UserError("usage: appl-dist ledger RUN [SPOOL_FOLDER …]")
-    ledger = run_ledger(Path(arguments[0]), [Path(a) for a in arguments[1:]])
+    parser = argparse.ArgumentParser(prog="appl-dist ledger", description="Compare what actors sent with replay.")
+    parser.add_argument("run", type=Path, metavar="RUN", help="a run's folder")
+    parser.add_argument("spools", nargs="*", type=Path, metavar="SPOOL_FOLDER", help="of actors that ran elsewhere")
+    options = parser.parse_args(arguments)
+    ledger = run_ledger(options.run, options.spools)
     table = Table(box=None, header_style="dim")
     for column in ("actor", "rollouts", "sent", "in replay", "waiting", "lost", "duplicate"):
         table.add_column(column, justify="left" if column == "actor" else "right")

@@ -8,9 +8,10 @@ commands of closed loops are compared from recorded poses, and status 0 means th
 
 from __future__ import annotations
 
+import argparse
 import gzip
 import json
-import sys
+import typing
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -24,38 +25,19 @@ from appl_dist.planner import vectors
 from appl_dist.planner.parameters import Arithmetic
 from appl_dist.planner.vectors import Record, Tally
 
+_SUMMARY = "Replay recorded vectors of the real ROS planner, and count what is equal."
 KINDS = "tp.jsonl.gz, tp_grids.npz, inflation.npz, navfn.npz or sim.jsonl.gz"
 LEAST_FAST = 0.99  # of the commands, with fast arithmetic
 _BROKEN = (OSError, EOFError, ValueError, KeyError, IndexError, TypeError, zlib.error, zipfile.BadZipFile)
 
 
-def main(paths: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Check every file and print its counts; the exit status."""
-    status = 0
-    try:
-        paths, arithmetic = _arithmetic(paths)
-        if not paths:
-            raise UserError(f"conformance: no file given; expected {KINDS}")
-        for path in paths:
-            status = max(status, _check(Path(path), arithmetic))
-    except UserError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return status
-
-
-def _arithmetic(arguments: list[str]) -> tuple[list[str], Arithmetic]:
-    """The paths, and the value of --arithmetic."""
-    if "--arithmetic" not in arguments:
-        return arguments, "exact"
-    at = arguments.index("--arithmetic")
-    value = arguments[at + 1] if at + 1 < len(arguments) else ""
-    rest = arguments[:at] + arguments[at + 2 :]
-    if value == "fast":
-        return rest, "fast"
-    if value == "exact":
-        return rest, "exact"
-    raise UserError(f"--arithmetic: got {value!r}; allowed exact, fast")
+    parser = argparse.ArgumentParser(prog="appl-dist conformance", description=_SUMMARY, epilog=f"FILE: {KINDS}")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    parser.add_argument("--arithmetic", choices=typing.get_args(Arithmetic), default="exact")
+    options = parser.parse_args(arguments)
+    return max(_check(path, options.arithmetic) for path in options.files)
 
 
 def _check(path: Path, arithmetic: Arithmetic) -> int:
