@@ -1,6 +1,7 @@
 """What bfloat16 hidden layers change in a TD3 step: values and gradients at the same parameters and batches, Pendulum.
 
-Trains in float32 on random actions, then computes targets, values and both gradients in float32 and in bfloat16.
+Trains in float32 on random actions, then computes targets, values and both gradients in float32 and in bfloat16, and
+the values with one kind of number rounded at a time.
 
     python benchmarks/td3_precision.py [--updates 1500] [--batches 20]
 """
@@ -66,6 +67,24 @@ def gradient(net: FlatMLP) -> Tensor:
     return torch.cat([part.grad.float() for part in net.parts])
 
 
+def rounding(learner: TD3, batch: Batch) -> dict[str, float]:
+    """Mean error of the first critic's values where only these numbers are rounded to bfloat16."""
+    inputs = torch.cat([torch.from_numpy(batch.observations), torch.from_numpy(batch.actions)], 1)
+    layers = [(layer.weight[0], layer.bias[0]) for layer in learner.critic.master]
+
+    def values(rounded: str) -> Tensor:
+        def kept(name: str, x: Tensor) -> Tensor:
+            return x.bfloat16().float() if name == rounded else x
+
+        x = kept("inputs", inputs)
+        for weight, bias in layers[:-1]:
+            x = kept("hidden units", torch.relu(x @ kept("weights", weight) + kept("weights", bias)))
+        return x @ layers[-1][0] + layers[-1][1]
+
+    wanted = values("nothing")
+    return {name: float((values(name) - wanted).abs().mean()) for name in ("inputs", "weights", "hidden units")}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--updates", type=int, default=1500)
@@ -81,9 +100,12 @@ def main() -> None:
         getattr(half, name).flat.copy_(getattr(exact, name).flat)
         getattr(half, name).refresh()
     rows: dict[str, list[tuple[float, ...]]] = {}
+    alone: dict[str, list[float]] = {}
     for seed in range(args.batches):
         batch = replay.sample(256, rng)
         wanted, found = step_quantities(exact, batch, seed), step_quantities(half, batch, seed)
+        for name, moved in rounding(exact, batch).items():
+            alone.setdefault(name, []).append(moved)
         for name, y in wanted.items():
             x = found[name]
             cosine = (x * y).sum() / (x.norm() * y.norm())
@@ -94,6 +116,8 @@ def main() -> None:
     for name, values in rows.items():
         size, error, bias, cosine = np.mean(values, axis=0)
         print(f"{name:20s} {size:12.4g} {error:14.2g} {bias:12.2g} {cosine:8.4f}")
+    print("value, mean |error| where only these are rounded:", end=" ")
+    print(", ".join(f"{name} {np.mean(errors):.2g}" for name, errors in alone.items()))
 
 
 if __name__ == "__main__":

@@ -103,10 +103,7 @@ class FlatMLP:
             layers, gradients = ([Layer(w[:h], c[:h]) for w, c in of] for of in (self.layers, self.gradients))
             self._passes[h, b] = Pass(layers, gradients, b, self.normalise, self._workers)
         done = self._passes[h, b]
-        at = 0
-        for x in columns:
-            done.inputs[0, :, at : at + x.shape[1]] = x
-            at += x.shape[1]
+        done.read(columns)
         done.ahead()
         return done
 

@@ -19,6 +19,10 @@ from appl_dist.learner.products import Step
 from appl_dist.learner.workers import Workers
 
 _NORM_EPSILON = 1e-5
+# bfloat16 rounds a network's inputs to 8 bits, which moves its values more than all the rounding behind (benchmarks/
+# td3_precision.py). So the last FINE inputs, in navigation the goal's bearing, the parameters and the action, are read
+# in two parts, rounded and what rounding left. Of the scan's beams replay itself holds 8 bits.
+FINE = 32
 
 Piece = list[Step]  # in this order
 
@@ -29,7 +33,7 @@ class Layer(NamedTuple):
 
 
 class Pass:
-    """`inputs` (heads, b, in) is to be filled before `ahead`; then `output` (heads, b, out) float32 holds the result.
+    """`read` takes the inputs, `ahead` evaluates them; then `output` (heads, b, out) float32 holds the result.
 
     After `ahead`, `slope` is to be filled with a loss's gradient by the output before `down` or `to_inputs`.
     """
@@ -44,14 +48,18 @@ class Pass:
             return torch.zeros(self._heads, b, width, dtype=like.weight.dtype, device=like.weight.device)
 
         sizes = [layer.weight.shape[2] for layer in layers]
-        self.inputs = room(layers[0].weight.shape[1], layers[0])[:1].expand(self._heads, -1, -1)
+        width = layers[0].weight.shape[1]
+        fine = min(FINE, width) if layers[0].weight.dtype == torch.bfloat16 else 0
+        self._inputs, self._rest = (room(w, layers[0])[:1].expand(self._heads, -1, -1) for w in (width, fine))
         self._after = [room(s, layer) for s, layer in zip(sizes, layers, strict=True)]  # behind ReLU
         self._before = [room(s, layer) for s, layer in zip(sizes, layers, strict=True)] if normalise else self._after
         # What each layer reads: the layer's before it, in its own type.
-        self._read = [self.inputs] + [
+        self._read = [self._inputs] + [
             y if y.dtype == layer.weight.dtype else room(y.shape[2], layer)
             for y, layer in zip(self._after, layers[1:], strict=False)
         ]
+        # The first layer's bias, with what the rest of the inputs adds to it.
+        self._offset = room(sizes[0], layers[0]) if fine else layers[0].bias
         self._slopes = [room(s, layer) for s, layer in zip(sizes, layers, strict=True)]  # by each layer's product
         self.output, self.slope = self._before[-1], self._slopes[-1]
         self._normalise = normalise
@@ -63,6 +71,18 @@ class Pass:
         self._ahead = [self._forward(h, r) for h in heads for r in rows]
         self._down = [self._backward(h, r) for h in heads for r in rows]
         self._last = [self._parameters(h, c, chunks) for h in heads for c in range(chunks)]
+
+    def read(self, columns: Sequence[Tensor]) -> None:
+        """Take the inputs (b, in), in pieces side by side."""
+        end = self._inputs.shape[2]
+        coarse = end - self._rest.shape[2]
+        for x in reversed(columns):
+            start = end - x.shape[1]
+            self._inputs[0, :, start:end] = x
+            at = max(start, coarse)
+            if at < end:
+                self._rest[0, :, at - coarse : end - coarse] = x[:, at - start :] - self._inputs[0, :, at:end]
+            end = start
 
     def ahead(self) -> None:
         self._workers.each(_run, self._ahead)
@@ -79,11 +99,16 @@ class Pass:
 
     def _forward(self, h: slice, r: slice) -> Piece:
         piece: Piece = []
+        first, fine = self._layers[0], self._rest.shape[2]
+        if fine:
+            last = first.weight[h, -fine:]
+            piece.append(products.forward(self._rest[h, r], last, first.bias[h], self._offset[h, r], relu=False))
         for i, layer in enumerate(self._layers):
             hidden = i + 1 < self._count
             before, after = self._before[i][h, r], self._after[i][h, r]
             relu = hidden and not self._normalise
-            piece.append(products.forward(self._read[i][h, r], layer.weight[h], layer.bias[h], before, relu))
+            bias = self._offset[h, r] if i == 0 and fine else layer.bias[h]
+            piece.append(products.forward(self._read[i][h, r], layer.weight[h], bias, before, relu))
             if hidden and self._normalise:
                 piece.append(partial(self._normalised, (i, h.start or 0, r.start), before, after))
             if hidden and self._read[i + 1] is not self._after[i]:

@@ -23,7 +23,7 @@ def tiled(dtype: torch.dtype, device: torch.device) -> bool:
 
 
 def forward(x: Tensor, weight: Tensor, bias: Tensor, out: Tensor, relu: bool) -> Step:
-    """out (h, b, o) = x (h, b, i) weight (h, i, o) + bias (h, 1, o), then ReLU if asked for."""
+    """out (h, b, o) = x (h, b, i) weight (h, i, o) + bias (h, 1 or b, o), then ReLU if asked for."""
     if tiled(out.dtype, out.device):
         return _one(_native.Product(x[0], weight[0], out[0], bias=bias[0], relu=relu), out)
 

@@ -111,11 +111,11 @@ class Product {
         out.expect("out", m, n);
         if (sums_ && transpose_b) throw nb::value_error("sums: only with b as it is");
         Matrix bias, open, sums;
-        if (bias_) (bias = Matrix(*bias_, "bias")).expect("bias", 1, n);
+        if (bias_) (bias = Matrix(*bias_, "bias")).expect("bias", bias.rows == 1 ? 1 : m, n);
         if (open_) (open = Matrix(*open_, "open")).expect("open", m, n);
         if (sums_) (sums = Matrix(*sums_, "sums")).expect("sums", 1, n);
-        product_ = {m, n, k, {a.data, a.step, transpose_a}, {b.data, b.step, transpose_b}, bias.data, relu,
-                    open.data, open.step, sums.data, out.data, out.step};
+        product_ = {m, n, k, {a.data, a.step, transpose_a}, {b.data, b.step, transpose_b}, bias.data,
+                    bias.rows == 1 ? 0 : bias.step, relu, open.data, open.step, sums.data, out.data, out.step};
     }
 
     void run() const {
@@ -139,8 +139,8 @@ void bind_learner(nb::module_ &m) {
           nb::arg("tau"), "target += tau (parameters - target) in place, (n,) float32; copy as in adam.");
     m.def("has_tiles", [] { return amx_available() != 0; }, "Whether `Product` can run on this processor.");
     nb::class_<Product>(m, "Product",
-                        "out (m, n) = a (m, k) b (k, n) + bias (1, n), all bfloat16, summed in float32. transpose_a, "
-                        "transpose_b: a, b are stored transposed. relu: negative results become 0. open (m, n): "
+                        "out (m, n) = a (m, k) b (k, n) + bias (1 or m, n), all bfloat16, summed in float32. "
+                        "transpose_a, transpose_b: a, b are stored transposed. relu: negative results become 0. open (m, n): "
                         "results become 0 where it is not positive. sums (1, n) becomes the sums of b's columns.")
         .def(nb::init<const appl::Array &, const appl::Array &, const appl::Array &, bool, bool,
                       const std::optional<appl::Array> &, bool, const std::optional<appl::Array> &,

@@ -112,8 +112,9 @@ AVX512 static void finish(const amx_product *p, const float *sums, size_t row, s
     const size_t rows = p->m - row < BLOCK ? p->m - row : BLOCK;
     const __m512 zero = _mm512_setzero_ps();
     __m512 bias[2] = {zero, zero};
-    if (p->bias) halves(_mm512_maskz_loadu_epi16(columns, p->bias + column), bias);
     for (size_t i = 0; i < rows; ++i) {
+        if (p->bias && (i == 0 || p->bias_step))
+            halves(_mm512_maskz_loadu_epi16(columns, p->bias + (row + i) * p->bias_step + column), bias);
         __m512 low = _mm512_add_ps(_mm512_load_ps(sums + BLOCK * i), bias[0]);
         __m512 high = _mm512_add_ps(_mm512_load_ps(sums + BLOCK * i + 16), bias[1]);
         if (p->relu) { /* the second operand is what max gives if either is NaN */

@@ -19,7 +19,8 @@ typedef struct {
 typedef struct {
     size_t m, n, k;
     amx_factor a, b;
-    const uint16_t *bias; /* (n), or NULL */
+    const uint16_t *bias; /* (m, n), or NULL */
+    size_t bias_step;     /* as of c; 0 for one row that serves all */
     int relu;             /* negative results become 0; NaN stays */
     const uint16_t *open; /* (m, n) as c, or NULL: results become 0 where this is not positive */
     size_t open_step;

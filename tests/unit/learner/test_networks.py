@@ -6,6 +6,7 @@ from torch import Tensor
 
 from appl_dist.learner import products
 from appl_dist.learner.networks import FlatMLP
+from appl_dist.learner.passes import FINE
 from appl_dist.learner.workers import Workers
 
 SIZES = (7, 16, 12, 3)
@@ -109,6 +110,19 @@ def test_a_change_of_the_flat_vector_shows_after_refresh(dtype: torch.dtype) -> 
     net.flat.zero_()
     net.refresh()
     assert not net.forward(torch.ones(5, 7)).output.any()
+
+
+@pytest.mark.parametrize("in_c", [True, False])
+def test_bfloat16_sees_what_rounding_takes_from_the_last_inputs(in_c: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not in_c:
+        monkeypatch.setattr(products, "tiled", lambda *_: False)
+    net = FlatMLP((FINE + 20, 64, 1), 1, torch.Generator().manual_seed(0), torch.device("cpu"), torch.bfloat16)
+    x = torch.ones(1, FINE + 20)
+    for column, seen in ((0, False), (19, False), (20, True), (FINE + 19, True)):
+        moved = x.clone()
+        moved[0, column] += 2.0**-9  # a quarter of what bfloat16 resolves there
+        before, after = (net.forward(y[:, :30], y[:, 30:]).output.clone() for y in (x, moved))
+        assert bool((before != after).all()) == seen, column
 
 
 def test_initial_weights_are_uniform_within_one_over_root_fan_in() -> None:

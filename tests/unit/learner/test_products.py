@@ -31,7 +31,7 @@ def close(found: Tensor, wanted: Tensor) -> None:
 def test_a_product_equals_torchs(m: int, n: int, k: int, turn_a: bool, turn_b: bool, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     a, b = draw(generator, m, k, turn_a), draw(generator, k, n, turn_b)
-    bias, open_ = draw(generator, 1, n), draw(generator, m, n)
+    bias, biases, open_ = draw(generator, 1, n), draw(generator, m, n), draw(generator, m, n)
     exact = (a.t() if turn_a else a).double() @ (b.t() if turn_b else b).double()
     out = torch.full((m, n + 2), 7.0).bfloat16()
     inside = out[:, :n]
@@ -43,6 +43,7 @@ def test_a_product_equals_torchs(m: int, n: int, k: int, turn_a: bool, turn_b: b
 
     close(run(), exact)
     close(run(bias=bias, relu=True), (exact + bias.double()).relu())
+    close(run(bias=biases), exact + biases.double())
     close(run(open=open_), exact * (open_ > 0))
     if not turn_b:
         sums = torch.empty(1, n).bfloat16()
