@@ -59,7 +59,7 @@ class Pass:
             for y, layer in zip(self._after, layers[1:], strict=False)
         ]
         # The first layer's bias, with what the rest of the inputs adds to it.
-        self._offset = room(sizes[0], layers[0]) if fine else layers[0].bias
+        self._offset = room(sizes[0], layers[0])
         self._slopes = [room(s, layer) for s, layer in zip(sizes, layers, strict=True)]  # by each layer's product
         self.output, self.slope = self._before[-1], self._slopes[-1]
         self._normalise = normalise

@@ -25,7 +25,6 @@ from appl_dist.planner import vectors
 from appl_dist.planner.parameters import Arithmetic
 from appl_dist.planner.vectors import Record, Tally
 
-_SUMMARY = "Replay recorded vectors of the real ROS planner, and count what is equal."
 KINDS = "tp.jsonl.gz, tp_grids.npz, inflation.npz, navfn.npz or sim.jsonl.gz"
 LEAST_FAST = 0.99  # of the commands, with fast arithmetic
 _BROKEN = (OSError, EOFError, ValueError, KeyError, IndexError, TypeError, zlib.error, zipfile.BadZipFile)
@@ -33,7 +32,7 @@ _BROKEN = (OSError, EOFError, ValueError, KeyError, IndexError, TypeError, zlib.
 
 def main(arguments: list[str]) -> int:
     """Check every file and print its counts; the exit status."""
-    parser = argparse.ArgumentParser(prog="appl-dist conformance", description=_SUMMARY, epilog=f"FILE: {KINDS}")
+    parser = argparse.ArgumentParser(prog="appl-dist conformance", description=__doc__)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--arithmetic", choices=typing.get_args(Arithmetic), default="exact")
     options = parser.parse_args(arguments)

@@ -90,4 +90,4 @@ def test_fifty_episodes_are_the_same_in_two_processes_with_different_pasts(arith
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(run(sys.argv[1], "fast" if sys.argv[2] == "fast" else "exact")))
+    sys.stdout.write(json.dumps(run(*sys.argv[1:3])))

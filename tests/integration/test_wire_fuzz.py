@@ -70,8 +70,7 @@ def test_nothing_received_can_hurt(tmp_path: Path, caplog: pytest.LogCaptureFixt
     assert set(ledger.accounts) == {"a0"}
     assert stored_meanwhile > 0
     judged = counts["refused"] + counts["hello"]
-    assert judged > 0.5 * (MESSAGES - sent["oversized"])  # a loaded machine answers "busy" more often
-    assert judged + counts["busy"] >= MESSAGES - sent["oversized"]
+    assert judged >= MESSAGES - sent["oversized"]
     assert counts.get("failed", 0) == 0
     named = {sender for sender in refused if sender.startswith("run1/bad-")}
     assert len(named) == 64

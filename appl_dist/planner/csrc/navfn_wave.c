@@ -12,6 +12,15 @@ static inline float planar_wave(float across, float along, float cost) {
     return gap >= cost ? low + cost : low + cost * v;
 }
 
+// The same in single precision, from 1 / cost.
+static inline float planar_wave_single(float across, float along, float cost, float per_cost) {
+    const float low = across < along ? across : along;
+    const float gap = fabsf(across - along);
+    const float d = gap * per_cost;
+    const float v = (0.7040f + 0.5307f * d) - 0.2301f * d * d;
+    return gap >= cost ? low + cost : low + cost * v;
+}
+
 // Only cells that can matter are given a potential: those with p + h <= bound, h being a lower bound of what the wave
 // adds from there to the goal (plane waves rise by at least 0.9956 * 50 a cell, in any direction).
 // A cell takes its potential from neighbours whose p + h is lower, or higher by less than one cell's rise. What a
@@ -36,15 +45,6 @@ static void measure_remaining(navfn *n, int goal) {
         }
     }
     n->remain_goal = goal;
-}
-
-// The same in single precision, from 1 / cost.
-static inline float planar_wave_single(float across, float along, float cost, float per_cost) {
-    const float low = across < along ? across : along;
-    const float gap = fabsf(across - along);
-    const float d = gap * per_cost;
-    const float v = (0.7040f + 0.5307f * d) - 0.2301f * d * d;
-    return gap >= cost ? low + cost : low + cost * v;
 }
 
 typedef struct {

@@ -1,16 +1,18 @@
 """A hostile client for the fuzz test: python -m tests.unit.wire.fuzz ENDPOINT COUNT SEED NAME
 
-Sends COUNT messages that cannot be accepted, of every kind, many at a time, and prints how many of each kind. The same
-names, run and key as a good actor's are among them.
+Sends COUNT messages that cannot be accepted, of every kind, many at a time, each again until it has been judged, and
+prints how many of each kind. The same names, run and key as a good actor's are among them.
 """
 
 from __future__ import annotations
 
 import json
+import queue
 import random
 import struct
 import sys
 import threading
+import time
 import zlib
 from collections import Counter
 from dataclasses import asdict, replace
@@ -21,8 +23,16 @@ import zenoh
 
 from appl_dist.spec import Rollout
 from appl_dist.wire import keys
-from appl_dist.wire.codec import MAX_ROLLOUT_BYTES, UploadHeader, encode_header, encode_rollout, pack
-from appl_dist.wire.session import open_session
+from appl_dist.wire.codec import (
+    MAX_ROLLOUT_BYTES,
+    Ack,
+    UploadHeader,
+    decode_header,
+    encode_header,
+    encode_rollout,
+    pack,
+)
+from appl_dist.wire.session import Session, open_session
 from appl_dist.wire.settings import WireSettings
 from tests.unit.wire.support import make_rollout
 
@@ -98,24 +108,39 @@ def main() -> None:
     rng = random.Random(seed)
     sent: Counter[str] = Counter()
     free = threading.Semaphore(IN_FLIGHT)
+    turned_away: queue.SimpleQueue[tuple[str, bytes, bytes]] = queue.SimpleQueue()
+
+    def send(session: Session, key: str, payload: bytes, attachment: bytes) -> None:
+        def judged(reply: zenoh.Reply) -> None:
+            if reply.ok is not None and decode_header(Ack, reply.ok.payload.to_bytes()).status == "busy":
+                turned_away.put((key, payload, attachment))
+
+        free.acquire()
+        session._session.get(
+            key,
+            zenoh.handlers.Callback(judged, free.release),
+            payload=payload,
+            attachment=attachment,
+            timeout=30.0,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+
     with open_session(WireSettings(endpoint, timeout_s=30.0), listen=False) as session:
         for _ in range(count):
             kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
-            key, payload, attachment = message(kind, rng)
-            free.acquire()
-            session._session.get(
-                key,
-                zenoh.handlers.Callback(lambda _: None, free.release),
-                payload=payload,
-                attachment=attachment,
-                timeout=30.0,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-            )
+            send(session, *message(kind, rng))
             sent[kind] += 1
             if rng.random() < 0.1:
                 session.put(keys.progress("run1", "actor", "bad"), rng.randbytes(rng.randrange(100)))
-        for _ in range(IN_FLIGHT):
-            free.acquire()
+        while True:
+            for _ in range(IN_FLIGHT):
+                free.acquire()
+            if turned_away.empty():
+                break
+            free.release(IN_FLIGHT)
+            time.sleep(0.05)
+            for _ in range(turned_away.qsize()):
+                send(session, *turned_away.get())
     print(json.dumps(sent))
 
 
