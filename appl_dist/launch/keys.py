@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import ipaddress
 import os
@@ -14,7 +13,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from appl_dist.errors import UserError
+from appl_dist.errors import ArgumentParser, UserError
 from appl_dist.wire.credentials import (
     ACTOR,
     AUTHORITY,
@@ -35,7 +34,7 @@ _CLOCK_SKEW = datetime.timedelta(hours=1)
 
 def main(arguments: list[str]) -> int:
     """Make what is missing in the folder; what is there stays."""
-    parser = argparse.ArgumentParser(prog="appl-dist keys", description=__doc__)
+    parser = ArgumentParser(prog="appl-dist keys", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--host", action="append", default=[], help="name or address actors reach the learner by")
     parser.add_argument("--actors", type=int, default=0, help="actor-0 to actor-N-1 (default: one shared by all)")

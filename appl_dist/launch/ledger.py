@@ -6,7 +6,6 @@ Rollouts still in replay are recognised by a digest of their bytes; those that t
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -17,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from appl_dist.actor.produced import FILE, Produced, read_produced
-from appl_dist.errors import UserError
+from appl_dist.errors import ArgumentParser, UserError
 from appl_dist.learner.replay import Replay
 from appl_dist.wire import receipt
 
@@ -126,7 +125,7 @@ def run_ledger(folder: Path, elsewhere: Iterable[Path] = ()) -> Ledger:
 
 def main(arguments: list[str], console: Console) -> int:
     """Print the ledger of `RUN [SPOOL …]`; status 0 if the accounts agree."""
-    parser = argparse.ArgumentParser(prog="appl-dist ledger", description="Compare what actors sent with replay.")
+    parser = ArgumentParser(prog="appl-dist ledger", description="Compare what actors sent with replay.")
     parser.add_argument("run", type=Path, metavar="RUN", help="a run's folder")
     parser.add_argument("spools", nargs="*", type=Path, metavar="SPOOL_FOLDER", help="of actors that ran elsewhere")
     options = parser.parse_args(arguments)

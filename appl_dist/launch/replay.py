@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.worldset import select_worlds
 from appl_dist.config import from_dict
-from appl_dist.errors import UserError
+from appl_dist.errors import ArgumentParser, UserError
 from appl_dist.evaluate.folder import Evaluation, read_evaluation
 from appl_dist.evaluate.provenance import code
 from appl_dist.evaluate.replay import check_settings, find_trial, replay, trial_name
@@ -37,7 +36,7 @@ def open_env(evaluation: Evaluation, worlds_path: str | None = None) -> Navigati
 
 def replay_main(argv: list[str]) -> int:
     """Drive trials again; status 1 if one is not bit-equal to its row."""
-    parser = argparse.ArgumentParser(
+    parser = ArgumentParser(
         prog="appl-dist replay",
         description="Drive trials of an evaluation again from their rows and compare, bit for bit.",
     )
@@ -97,7 +96,7 @@ def replay_main(argv: list[str]) -> int:
 
 def report_main(argv: list[str]) -> int:
     """Tables, figures and one page of evaluations."""
-    parser = argparse.ArgumentParser(
+    parser = ArgumentParser(
         prog="appl-dist report", description="Write one HTML page, tables and figures of evaluations."
     )
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folders of evaluations, or of runs with one")

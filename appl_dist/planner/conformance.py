@@ -8,7 +8,6 @@ commands of closed loops are compared from recorded poses, and status 0 means th
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import json
 import typing
@@ -20,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from appl_dist.errors import UserError
+from appl_dist.errors import ArgumentParser, UserError
 from appl_dist.planner import vectors
 from appl_dist.planner.parameters import Arithmetic
 from appl_dist.planner.vectors import Record, Tally
@@ -32,7 +31,7 @@ _BROKEN = (OSError, EOFError, ValueError, KeyError, IndexError, TypeError, zlib.
 
 def main(arguments: list[str]) -> int:
     """Check every file and print its counts; the exit status."""
-    parser = argparse.ArgumentParser(prog="appl-dist conformance", description=__doc__)
+    parser = ArgumentParser(prog="appl-dist conformance", description=__doc__)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--arithmetic", choices=typing.get_args(Arithmetic), default="exact")
     options = parser.parse_args(arguments)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import sys
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist.errors import UserError
+from appl_dist.errors import ArgumentParser, UserError
 from appl_dist.files import write_atomic
 from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.metrics import NAMES, Grid, c_space
@@ -19,7 +18,7 @@ from appl_dist.sim.worlds import FIELD_ORIGIN, RADIUS_M, SETS, World, field_grid
 
 def worlds_main(argv: list[str]) -> int:
     """Run one sub-command; returns the exit status. Raises UserError for what the user can mend."""
-    parser = argparse.ArgumentParser(prog="appl-dist worlds", description=__doc__)
+    parser = ArgumentParser(prog="appl-dist worlds", description=__doc__)
     verbs = parser.add_subparsers(dest="verb", required=True)
     check = verbs.add_parser("check", help="read every world of a set and say what was found")
     check.add_argument("path", type=Path, help="folder, tar archive or barn_worlds.npz")

@@ -49,7 +49,11 @@ def appl_dist(*arguments: str, cwd: Path, timeout_s: float = 60.0) -> subprocess
         (["actor", "actor.run=missing"], "actor.run: no folder at missing"),
         (["ledger", "missing"], "missing is no run's folder"),
         (["launch", "launch=slurm"], "launch.actors: got 0"),
+        (["ledger"], "RUN"),
         (["conformance", "missing.jsonl.gz"], "missing.jsonl.gz"),
+        (["conformance", "x", "--arithmetic", "quick"], "invalid choice: 'quick'"),
+        (["replay"], "folder"),
+        (["keys", "k", "--days", "many"], "invalid int value: 'many'"),
         (["worlds", "check", "missing.tar.gz"], "missing.tar.gz"),
     ],
 )

@@ -41,7 +41,8 @@ def test_unusable_text_is_one_sentence_and_status_2(tmp_path, capsys, name, text
     assert error.count("\n") == 1
 
 
-def test_missing_file_and_truncated_archives(tmp_path, capsys):
+def test_missing_file_no_file_and_truncated_archives(tmp_path, capsys):
+    assert main([]) == 2
     assert main([str(tmp_path / "none.npz")]) == 2
     whole = tmp_path / "inflation.npz"
     np.savez_compressed(whole, lethal=np.zeros(3), costmap=np.zeros(3), inflation_radius=1, inscribed_radius=1)
@@ -55,7 +56,7 @@ def test_missing_file_and_truncated_archives(tmp_path, capsys):
     half = tmp_path / "half.jsonl.gz"
     half.write_bytes(gzip.compress(json.dumps({"scene": 1}).encode())[:-9])
     assert main([str(half)]) == 2
-    assert capsys.readouterr().err.count("\n") == 5
+    assert capsys.readouterr().err.count("\n") == 6
 
 
 def test_a_wrong_cell_is_counted_and_status_1(tmp_path, capsys):
