@@ -6,7 +6,7 @@ BARN ?= $(wildcard ../shared/barn)
 NATIVE := $(shell find appl_dist -name '*.c' -o -name '*.cpp' -o -name '*.h') appl_dist/native/CMakeLists.txt
 ARGS ?=
 
-.PHONY: train test lint bench asan clean venv
+.PHONY: train test lint bench asan-tree asan fuzz clean venv
 
 venv: $(VENV)/.installed
 
@@ -41,7 +41,10 @@ bench: venv
 
 # The C core under AddressSanitizer and UndefinedBehaviorSanitizer, in a build folder and an import path of its own.
 ASAN_TESTS ?= tests/unit/planner tests/unit/sim tests/property tests/conformance
-asan: venv
+ASAN_PYTEST = cd build-asan/tree && ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
+	LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
+	PYTHONPATH=$(abspath build-asan/tree) $(abspath $(BIN)/python) -P -m pytest -p no:cacheprovider
+asan-tree: venv
 	cmake -S appl_dist/native -B build-asan -G Ninja -DAPPL_SANITIZE=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo \
 		-DPython_EXECUTABLE=$(abspath $(BIN)/python)
 	cmake --build build-asan
@@ -49,9 +52,16 @@ asan: venv
 	cp -r appl_dist conf tests pyproject.toml build-asan/tree
 	cp build-asan/_native*.so build-asan/tree/appl_dist
 	ln -sfn $(abspath ../shared) build-asan/shared
-	cd build-asan/tree && ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
-		LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
-		PYTHONPATH=$(abspath build-asan/tree) $(abspath $(BIN)/python) -P -m pytest -p no:cacheprovider $(ASAN_TESTS)
+
+asan: asan-tree
+	$(ASAN_PYTEST) $(ASAN_TESTS)
+
+# The same build on absurd inputs, drawn anew every round.
+FUZZ_MINUTES ?= 10
+fuzz: asan-tree
+	end=$$(($$(date +%s) + 60 * $(FUZZ_MINUTES))); round=0; while [ $$(date +%s) -lt $$end ]; do \
+		($(ASAN_PYTEST) -q --hypothesis-seed=$$(date +%s%N) tests/property -k "planner or sim") || exit 1; \
+		round=$$((round + 1)); done; echo "$$round rounds"
 
 clean:
 	rm -rf $(VENV) build build-asan .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -80,10 +80,11 @@ def measure(timing: str, options: argparse.Namespace) -> dict[str, Any]:
     methods = {m.label: m for m in make_methods(list(candidates(options.sets, rng).items()))}
     protocol = PROTOCOLS["appl"]
     # `ideal` is the loop of the reference episodes, whose robot did exactly what it was told.
-    settings = load([f"timing={timing}", *(["robot.drive=ideal"] if timing == "ideal" else [])])
-    environment = {"protocol": protocol, "timing": settings.timing, "robot": settings.robot}
+    overrides = [f"timing={timing}", "planner.arithmetic=fast", *(["robot.drive=ideal"] if timing == "ideal" else [])]
+    settings = load(overrides)
+    parts = {"timing": settings.timing, "robot": settings.robot, "planner": settings.planner}
     worlds = tuple({w.index: w for w in train + test}.values())
-    make_runner = NavigationRunner(worlds, tuple(methods.values()), environment)
+    make_runner = NavigationRunner(worlds, tuple(methods.values()), {"protocol": protocol} | parts)
     path = Path(options.folder) / f"trials-{timing}.csv"
     with TrialLog(path, Trial, protocol.name, make_runner.config_hash()) as log:
 

@@ -34,7 +34,6 @@ from appl_dist.learner.td3 import TD3
 from appl_dist.spec import Rollout
 
 HIDDEN, RATE, BATCH, SIGMA = (256, 256), 1e-3, 256, 0.1
-RUN = 10  # steps in one rollout given to replay, unless the episode ends before
 RESAMPLES = 2000
 
 Curve = list[float]  # return of each evaluation, every task.every steps
@@ -89,7 +88,7 @@ def ours(task: Task, seed: int, precision: str) -> Curve:
     (obs_size,), (action_size,) = env.observation_space.shape, env.action_space.shape
     settings = TD3Settings(hidden=HIDDEN, batch_size=BATCH, actor_lr=RATE, critic_lr=RATE, precision=precision)
     learner = TD3(settings, obs_size, action_size, seed=seed)
-    # Short rollouts have more last observations than the ring is laid out for.
+    # Rollouts of one step, as the peer stores them: as many last observations as transitions.
     replay = Replay(
         None, 2 * task.steps, 1, task.gamma, observation_size=obs_size, scan_size=0, action_size=action_size
     )
@@ -100,22 +99,15 @@ def ours(task: Task, seed: int, precision: str) -> Curve:
 
     curve: Curve = []
     obs, _ = env.reset(seed=seed)
-    observations, actions, rewards = [obs], [], []
     for step in range(1, task.steps + 1):
         if step <= task.warm_up:
             action = rng.uniform(-1, 1, action_size).astype(np.float32)
         else:
             action = np.clip(act(obs) + SIGMA * rng.standard_normal(action_size, np.float32), -1, 1)
-        obs, reward, terminal, truncated, _ = env.step(action)
-        observations.append(obs)
-        actions.append(action)
-        rewards.append(float(reward))
-        if len(rewards) == RUN or terminal or truncated:
-            rollout = Rollout(np.stack(observations), np.stack(actions), np.array(rewards, np.float32), terminal, {})
-            replay.insert(rollout, "task", replay.expected_seq("task"))
-            if terminal or truncated:
-                obs, _ = env.reset()
-            observations, actions, rewards = [obs], [], []
+        then, reward, terminal, truncated, _ = env.step(action)
+        rollout = Rollout(np.stack([obs, then]), action[None], np.array([reward], np.float32), terminal, {})
+        replay.insert(rollout, "task", step - 1)
+        obs = env.reset()[0] if terminal or truncated else then
         if step > task.warm_up:
             learner.update(replay.sample(BATCH, rng))
         if step % task.every == 0:

@@ -22,14 +22,20 @@ def scan(rng, kind):
 @given(
     st.integers(0, 2**32 - 1),
     st.booleans(),
+    st.sampled_from(["exact", "fast"]),
     st.sampled_from([1.0, 4.0, 10.0]),
     st.sampled_from([5.0, 40.0]),
     st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=3, max_size=25),
 )
-def test_any_sequence_of_calls_is_survived(seed, meter, local, reach, calls):
+def test_any_sequence_of_calls_is_survived(seed, meter, arithmetic, local, reach, calls):
     rng = np.random.default_rng(seed)
     chosen = PlannerSettings(
-        meter_scoring=meter, local_size_m=max(local, 2.0), global_size_m=reach, global_origin_m=-reach / 2, sim_time=1.0
+        meter_scoring=meter,
+        arithmetic=arithmetic,
+        local_size_m=max(local, 2.0),
+        global_size_m=reach,
+        global_origin_m=-reach / 2,
+        sim_time=1.0,
     )
     navigator = Navigator(chosen)
     navigator.reset(np.array([*rng.uniform(-reach / 2, reach / 2, 2), rng.uniform(-9, 9)]))
