@@ -58,8 +58,6 @@ class Pass:
             y if y.dtype == layer.weight.dtype else room(y.shape[2], layer)
             for y, layer in zip(self._after, layers[1:], strict=False)
         ]
-        # The first layer's bias, with what the rest of the inputs adds to it.
-        self._offset = room(sizes[0], layers[0])
         self._slopes = [room(s, layer) for s, layer in zip(sizes, layers, strict=True)]  # by each layer's product
         self.output, self.slope = self._before[-1], self._slopes[-1]
         self._normalise = normalise
@@ -99,16 +97,12 @@ class Pass:
 
     def _forward(self, h: slice, r: slice) -> Piece:
         piece: Piece = []
-        first, fine = self._layers[0], self._rest.shape[2]
-        if fine:
-            last = first.weight[h, -fine:]
-            piece.append(products.forward(self._rest[h, r], last, first.bias[h], self._offset[h, r], relu=False))
         for i, layer in enumerate(self._layers):
             hidden = i + 1 < self._count
             before, after = self._before[i][h, r], self._after[i][h, r]
+            rest = self._rest[h, r] if i == 0 else self._rest[h, r, :0]
             relu = hidden and not self._normalise
-            bias = self._offset[h, r] if i == 0 and fine else layer.bias[h]
-            piece.append(products.forward(self._read[i][h, r], layer.weight[h], bias, before, relu))
+            piece.append(products.forward(self._read[i][h, r], rest, layer.weight[h], layer.bias[h], before, relu))
             if hidden and self._normalise:
                 piece.append(partial(self._normalised, (i, h.start or 0, r.start), before, after))
             if hidden and self._read[i + 1] is not self._after[i]:

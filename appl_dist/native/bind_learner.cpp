@@ -3,6 +3,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <new>
@@ -100,9 +101,9 @@ void *scratch(size_t bytes) {
 class Product {
   public:
     Product(const appl::Array &a_, const appl::Array &b_, const appl::Array &out_, bool transpose_a, bool transpose_b,
-            const std::optional<appl::Array> &bias_, bool relu, const std::optional<appl::Array> &open_,
-            const std::optional<appl::Array> &sums_)
-        : kept_{a_, b_, out_, bias_.value_or(a_), open_.value_or(a_), sums_.value_or(a_)} {
+            const std::optional<appl::Array> &rest_, const std::optional<appl::Array> &bias_, bool relu,
+            const std::optional<appl::Array> &open_, const std::optional<appl::Array> &sums_)
+        : kept_{a_, b_, out_, rest_.value_or(a_), bias_.value_or(a_), open_.value_or(a_), sums_.value_or(a_)} {
         if (!amx_available()) throw std::runtime_error("this processor has no AMX tiles");
         const Matrix a(a_, "a"), b(b_, "b"), out(out_, "out");
         const size_t m = transpose_a ? a.columns : a.rows, k = transpose_a ? a.rows : a.columns;
@@ -110,21 +111,23 @@ class Product {
         b.expect("b", transpose_b ? n : k, transpose_b ? k : n);
         out.expect("out", m, n);
         if (sums_ && transpose_b) throw nb::value_error("sums: only with b as it is");
-        Matrix bias, open, sums;
-        if (bias_) (bias = Matrix(*bias_, "bias")).expect("bias", bias.rows == 1 ? 1 : m, n);
+        if (rest_ && (transpose_a || transpose_b)) throw nb::value_error("rest: only with a and b as they are");
+        Matrix rest, bias, open, sums;
+        if (rest_) (rest = Matrix(*rest_, "rest")).expect("rest", m, std::min(rest.columns, k));
+        if (bias_) (bias = Matrix(*bias_, "bias")).expect("bias", 1, n);
         if (open_) (open = Matrix(*open_, "open")).expect("open", m, n);
         if (sums_) (sums = Matrix(*sums_, "sums")).expect("sums", 1, n);
-        product_ = {m, n, k, {a.data, a.step, transpose_a}, {b.data, b.step, transpose_b}, bias.data,
-                    bias.rows == 1 ? 0 : bias.step, relu, open.data, open.step, sums.data, out.data, out.step};
+        product_ = {m, n, k, {a.data, a.step, transpose_a}, {b.data, b.step, transpose_b}, {rest.data, rest.step, 0},
+                    rest.columns, bias.data, relu, open.data, open.step, sums.data, out.data, out.step};
     }
 
     void run() const {
         nb::gil_scoped_release release;
-        amx_multiply(&product_, scratch(amx_scratch(product_.m, product_.n, product_.k)));
+        amx_multiply(&product_, scratch(amx_scratch(&product_)));
     }
 
   private:
-    appl::Array kept_[6];
+    appl::Array kept_[7];
     amx_product product_;
 };
 }  // namespace
@@ -139,14 +142,15 @@ void bind_learner(nb::module_ &m) {
           nb::arg("tau"), "target += tau (parameters - target) in place, (n,) float32; copy as in adam.");
     m.def("has_tiles", [] { return amx_available() != 0; }, "Whether `Product` can run on this processor.");
     nb::class_<Product>(m, "Product",
-                        "out (m, n) = a (m, k) b (k, n) + bias (1 or m, n), all bfloat16, summed in float32. "
+                        "out (m, n) = a (m, k) b (k, n) + bias (1, n), all bfloat16, summed in float32. rest (m, r): added to "
+                        "the last r columns of a, not rounded. "
                         "transpose_a, transpose_b: a, b are stored transposed. relu: negative results become 0. open (m, n): "
                         "results become 0 where it is not positive. sums (1, n) becomes the sums of b's columns.")
         .def(nb::init<const appl::Array &, const appl::Array &, const appl::Array &, bool, bool,
-                      const std::optional<appl::Array> &, bool, const std::optional<appl::Array> &,
-                      const std::optional<appl::Array> &>(),
+                      const std::optional<appl::Array> &, const std::optional<appl::Array> &, bool,
+                      const std::optional<appl::Array> &, const std::optional<appl::Array> &>(),
              nb::arg("a"), nb::arg("b"), nb::arg("out"), nb::kw_only(), nb::arg("transpose_a") = false,
-             nb::arg("transpose_b") = false, nb::arg("bias").none() = nb::none(), nb::arg("relu") = false,
-             nb::arg("open").none() = nb::none(), nb::arg("sums").none() = nb::none())
+             nb::arg("transpose_b") = false, nb::arg("rest").none() = nb::none(), nb::arg("bias").none() = nb::none(),
+             nb::arg("relu") = false, nb::arg("open").none() = nb::none(), nb::arg("sums").none() = nb::none())
         .def("__call__", &Product::run);
 }

@@ -5,10 +5,15 @@ enum { TILE_ROWS = 16, TILE_BYTES = 1024, DEPTH = 32, BLOCK = 32 };
 
 static size_t blocks(size_t n, size_t size) { return (n + size - 1) / size; }
 
-/* A factor in tiles, its outer extent rounded up to whole blocks of two tiles. */
-static size_t packed_bytes(size_t outer, size_t k) { return 2 * blocks(outer, BLOCK) * blocks(k, DEPTH) * TILE_BYTES; }
+/* Tiles along the depth, those of the rest behind the others. */
+static size_t tiles_deep(const amx_product *p) { return blocks(p->k, DEPTH) + blocks(p->fine, DEPTH); }
 
-size_t amx_scratch(size_t m, size_t n, size_t k) { return packed_bytes(m, k) + packed_bytes(n, k); }
+/* A factor in tiles, its outer extent rounded up to whole blocks of two tiles. */
+static size_t packed_bytes(size_t outer, size_t depth) { return 2 * blocks(outer, BLOCK) * depth * TILE_BYTES; }
+
+size_t amx_scratch(const amx_product *p) {
+    return packed_bytes(p->m, tiles_deep(p)) + packed_bytes(p->n, tiles_deep(p));
+}
 
 #if defined(__x86_64__) && defined(__linux__) && \
     ((defined(__clang__) && __clang_major__ >= 13) || (!defined(__clang__) && __GNUC__ >= 11))
@@ -83,9 +88,10 @@ AVX512 static inline void across(const uint16_t *from, size_t step, size_t rows,
     }
 }
 
-/* Tiles [outer / 16][k / 32] of a factor; `deep` if its stored rows run along the depth, `turned` if the tile unit
- * wants the depth in the tile's rows where `along` and `across` leave it in the columns, or the other way round. */
-AVX512 static void pack(const amx_factor *f, size_t outer, size_t k, int deep, int turned, uint16_t *to) {
+/* Tiles [outer / 16][k / 32] of a factor, `total` places to each row of tiles; `deep` if its stored rows run along the
+ * depth, `turned` if the tile unit wants the depth in the tile's rows where `along` and `across` leave it in the
+ * columns, or the other way round. */
+AVX512 static void pack(const amx_factor *f, size_t outer, size_t k, size_t total, int deep, int turned, uint16_t *to) {
     const size_t depth = blocks(k, DEPTH), count = 2 * blocks(outer, BLOCK);
     for (size_t i = 0; i < count * depth; ++i) { /* along the stored rows, whichever way they run */
         const size_t o = deep ? i % count : i / depth, d = deep ? i / count : i % depth;
@@ -96,7 +102,7 @@ AVX512 static void pack(const amx_factor *f, size_t outer, size_t k, int deep, i
         else
             along(f->data + first * f->step + d * DEPTH, f->step, rows, first32(d * DEPTH, k), v);
         if (turned) flip(v);
-        uint16_t *tile = to + (o * depth + d) * (TILE_BYTES / 2);
+        uint16_t *tile = to + (o * total + d) * (TILE_BYTES / 2);
         for (int r = 0; r < TILE_ROWS; ++r) _mm512_store_si512((void *)(tile + 32 * r), v[r]);
     }
 }
@@ -112,9 +118,8 @@ AVX512 static void finish(const amx_product *p, const float *sums, size_t row, s
     const size_t rows = p->m - row < BLOCK ? p->m - row : BLOCK;
     const __m512 zero = _mm512_setzero_ps();
     __m512 bias[2] = {zero, zero};
+    if (p->bias) halves(_mm512_maskz_loadu_epi16(columns, p->bias + column), bias);
     for (size_t i = 0; i < rows; ++i) {
-        if (p->bias && (i == 0 || p->bias_step))
-            halves(_mm512_maskz_loadu_epi16(columns, p->bias + (row + i) * p->bias_step + column), bias);
         __m512 low = _mm512_add_ps(_mm512_load_ps(sums + BLOCK * i), bias[0]);
         __m512 high = _mm512_add_ps(_mm512_load_ps(sums + BLOCK * i + 16), bias[1]);
         if (p->relu) { /* the second operand is what max gives if either is NaN */
@@ -151,12 +156,17 @@ static const struct {
 } eight_tiles = {1, 0, {0}, {64, 64, 64, 64, 64, 64, 64, 64}, {16, 16, 16, 16, 16, 16, 16, 16}};
 
 AMX void amx_multiply(const amx_product *p, void *scratch) {
-    uint16_t *a = scratch, *b = a + packed_bytes(p->m, p->k) / 2;
+    const size_t depth = tiles_deep(p), tile = TILE_BYTES / 2, rest = blocks(p->k, DEPTH) * tile;
+    uint16_t *a = scratch, *b = a + packed_bytes(p->m, depth) / 2;
     if (p->sums) column_sums(p);
-    pack(&p->a, p->m, p->k, p->a.transposed, p->a.transposed, a);
-    pack(&p->b, p->n, p->k, !p->b.transposed, p->b.transposed, b);
+    pack(&p->a, p->m, p->k, depth, p->a.transposed, p->a.transposed, a);
+    pack(&p->b, p->n, p->k, depth, !p->b.transposed, p->b.transposed, b);
+    if (p->fine) {
+        const amx_factor last = {p->b.data + (p->k - p->fine) * p->b.step, p->b.step, 0};
+        pack(&p->rest, p->m, p->fine, depth, 0, 0, a + rest);
+        pack(&last, p->n, p->fine, depth, 1, 0, b + rest);
+    }
     _tile_loadconfig(&eight_tiles);
-    const size_t depth = blocks(p->k, DEPTH), tile = TILE_BYTES / 2;
     float sums[BLOCK * BLOCK] __attribute__((aligned(64)));
     for (size_t column = 0; column < p->n; column += BLOCK)
         for (size_t row = 0; row < p->m; row += BLOCK) {

@@ -19,8 +19,10 @@ typedef struct {
 typedef struct {
     size_t m, n, k;
     amx_factor a, b;
-    const uint16_t *bias; /* (m, n), or NULL */
-    size_t bias_step;     /* as of c; 0 for one row that serves all */
+    amx_factor rest;      /* (m, fine) what rounding left of a's last columns, times b's last rows once more; neither
+                             is stored transposed */
+    size_t fine;          /* 0 for none */
+    const uint16_t *bias; /* (n), or NULL */
     int relu;             /* negative results become 0; NaN stays */
     const uint16_t *open; /* (m, n) as c, or NULL: results become 0 where this is not positive */
     size_t open_step;
@@ -33,7 +35,7 @@ typedef struct {
 int amx_available(void);
 
 /* Bytes of scratch that amx_multiply needs. */
-size_t amx_scratch(size_t m, size_t n, size_t k);
+size_t amx_scratch(const amx_product *product);
 
 /* scratch: amx_scratch bytes at a multiple of 64. Only where amx_available. */
 void amx_multiply(const amx_product *product, void *scratch);
