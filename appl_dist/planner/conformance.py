@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from appl_dist.errors import ArgumentParser, UserError
-from appl_dist.planner import vectors
+from appl_dist.planner import vector_episodes, vectors
 from appl_dist.planner.parameters import Arithmetic
 from appl_dist.planner.vectors import Record, Tally
 
@@ -73,7 +73,7 @@ def _tallies(path: Path, arithmetic: Arithmetic) -> Iterator[Tally]:
         yield from vectors.trajectory_scenes(everything)
     elif isinstance(first.get("episode"), dict) and "cyl" in first["episode"] and "out" in first:
         if arithmetic == "fast":
-            yield from vectors.episode_commands(everything, arithmetic)
+            yield from vector_episodes.episode_commands(everything, arithmetic)
         else:
             yield from _episodes(path, everything)
     elif isinstance(scene, dict) and "dwa_params" in scene:
@@ -99,9 +99,9 @@ def _npz_tallies(path: Path, data: Any, arithmetic: Arithmetic) -> Iterator[Tall
             raise UserError(f"{path}: wants the episodes it belongs to, sim.jsonl.gz, beside it")
         with_scans = (r for r in _records(episodes) if f"scan_{r['episode']['id']}" in names)
         if arithmetic == "fast":
-            yield from vectors.episode_commands(with_scans, arithmetic)
+            yield from vector_episodes.episode_commands(with_scans, arithmetic)
         else:
-            yield from vectors.episodes(with_scans, data)
+            yield from vector_episodes.episodes(with_scans, data)
     else:
         raise UserError(f"{path}: unknown kind of vectors; expected {KINDS}")
 
@@ -109,10 +109,10 @@ def _npz_tallies(path: Path, data: Any, arithmetic: Arithmetic) -> Iterator[Tall
 def _episodes(path: Path, records: Iterator[Record]) -> Iterator[Tally]:
     full = _beside(path, "sim", "sim_full", ".npz")
     if full is None:
-        yield from vectors.episodes(records, None)
+        yield from vector_episodes.episodes(records, None)
         return
     with np.load(full, allow_pickle=False) as data:
-        yield from vectors.episodes(records, data)
+        yield from vector_episodes.episodes(records, data)
 
 
 def _records(path: Path) -> Iterator[Record]:

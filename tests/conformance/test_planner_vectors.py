@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from appl_dist.planner import vectors
+from appl_dist.planner import vector_episodes
 from appl_dist.planner.conformance import main
 from tests.shared_data import shared
 
@@ -23,5 +23,5 @@ def test_closed_loops_are_equal(first):
     path, full = shared("reference", "sim.jsonl.gz"), shared("reference", "sim_full.npz")
     with gzip.open(path, "rt") as lines, np.load(full) as data:
         chosen = (json.loads(line) for line in islice(lines, first, first + 20, 4))
-        for tally in vectors.episodes(chosen, data):
+        for tally in vector_episodes.episodes(chosen, data):
             assert tally.equal == tally.total > 0, tally
