@@ -244,27 +244,40 @@ def measure(reference: Path) -> list[tuple[dict[str, str], float, float]]:
     return results
 
 
+# test, quantity, column along x, column of the curves, labels of the axes
+PANELS = (
+    ("steady", "w_mean", "w_cmd", "v_cmd", "commanded yaw rate, rad/s", "steady yaw rate, rad/s"),
+    ("steady", "vy_mean", "w_cmd", "v_cmd", "commanded yaw rate, rad/s", "side slip, m/s"),
+    ("in_place_vs_heading", "w_mean", "condition", "w_cmd", "heading, rad", "yaw rate in place, rad/s"),
+    ("brake", "mean_d", "v_cmd", "w_cmd", "speed, m/s", "braking distance, m"),
+    ("yaw_step_at_speed", "t63", "v_cmd", "w_cmd", "speed, m/s", "yaw step, time to 63 %, s"),
+)
+
+
 def draw(results: list[tuple[dict[str, str], float, float]], out: Path) -> None:
-    """Three panels: steady yaw rate, stopping, in-place turning by heading; lines ours, dots Gazebo."""
+    """Five responses, lines ours and dots Gazebo's, and where hits of a cylinder end, one against the other."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 4), layout="constrained")
+    figure = Figure(figsize=(12, 7), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(1, 3)
-    for panel, test, quantity, along, group in (
-        (panels[0], "steady", "w_mean", "w_cmd", "v_cmd"),
-        (panels[1], "steady", "vy_mean", "w_cmd", "v_cmd"),
-        (panels[2], "in_place_vs_heading", "w_mean", "condition", "w_cmd"),
-    ):
+    panels = figure.subplots(2, 3).ravel()
+    for panel, (test, quantity, along, group, x_label, y_label) in zip(panels[:-1], PANELS, strict=True):
         chosen = [(r, g, o) for r, g, o in results if (r["test"], r["quantity"]) == (test, quantity)]
         for k, level in enumerate(sorted({float(r[group]) for r, _, _ in chosen})):
             own = [(r, g, o) for r, g, o in chosen if float(r[group]) == level]
             x = [heading_of(r[along]) if along == "condition" else float(r[along]) for r, _, _ in own]
-            panel.plot(x, [o for _, _, o in own], color=f"C{k}", label=f"{group} {level:g}")
+            unit = "m/s" if group == "v_cmd" else "rad/s"
+            panel.plot(x, [o for _, _, o in own], color=f"C{k}", label=f"{level:g} {unit} commanded")
             panel.plot(x, [g for _, g, _ in own], "o", ms=4, color=f"C{k}")
-        panel.set(title=f"{test}: {quantity}", xlabel="heading (rad)" if along == "condition" else along)
-        panel.legend(fontsize=7)
+        panel.set(xlabel=x_label, ylabel=y_label)
+        panel.legend(fontsize=7, frameon=False)
+    for k, (quantity, label) in enumerate((("final_x", "forward, m"), ("y", "sideways, m"), ("yaw", "turned, rad"))):
+        pairs = [(g, o) for r, g, o in results if (r["test"], r["quantity"]) == ("hit", quantity)]
+        panels[-1].plot(*zip(*pairs, strict=True), "o", ms=4, color=f"C{k}", label=label)
+    panels[-1].axline((0, 0), slope=1, color="0.7", linewidth=1)
+    panels[-1].set(xlabel="after hitting a cylinder: Gazebo", ylabel="this simulator")
+    panels[-1].legend(fontsize=7, frameon=False)
     figure.suptitle("lines: this simulator, dots: Gazebo's physics")
     figure.savefig(out, dpi=110)
 
