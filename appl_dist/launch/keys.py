@@ -13,7 +13,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from appl_dist.errors import ArgumentParser, UserError
+from appl_dist.arguments import ArgumentParser
+from appl_dist.errors import UserError
 from appl_dist.wire.credentials import (
     ACTOR,
     AUTHORITY,

@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 from appl_dist.actor.produced import FILE, Produced, read_produced
-from appl_dist.errors import ArgumentParser, UserError
+from appl_dist.arguments import ArgumentParser
+from appl_dist.errors import UserError
 from appl_dist.learner.replay import Replay
 from appl_dist.wire import receipt
 
@@ -75,7 +76,7 @@ def audit(replay: Replay, spools: Iterable[Path]) -> Ledger:
     held: dict[str, list[tuple[int, receipt.Receipt]]] = defaultdict(list)
     for stored in replay.rollouts():
         held[stored.actor].append((stored.seq, receipt.of_arrays(stored.other, stored.actions, stored.rewards)))
-    actors = sorted({*logs, *replay.actor_ids()})
+    actors = sorted({*logs, *replay.actors})
     return Ledger(
         {a: _account(logs[a], pending[a], held[a], replay.expected_seq(a)) for a in actors}, replay.transitions_total
     )

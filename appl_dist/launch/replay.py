@@ -7,8 +7,9 @@ from pathlib import Path
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.worldset import select_worlds
+from appl_dist.arguments import ArgumentParser
 from appl_dist.config import from_dict
-from appl_dist.errors import ArgumentParser, UserError
+from appl_dist.errors import UserError
 from appl_dist.evaluate.folder import Evaluation, read_evaluation
 from appl_dist.evaluate.provenance import code
 from appl_dist.evaluate.replay import check_settings, find_trial, replay, trial_name

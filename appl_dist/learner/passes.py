@@ -100,7 +100,7 @@ class Pass:
         for i, layer in enumerate(self._layers):
             hidden = i + 1 < self._count
             before, after = self._before[i][h, r], self._after[i][h, r]
-            rest = self._rest[h, r] if i == 0 else self._rest[h, r, :0]
+            rest = self._rest[h, r] if i == 0 and self._rest.shape[2] else None
             relu = hidden and not self._normalise
             piece.append(products.forward(self._read[i][h, r], rest, layer.weight[h], layer.bias[h], before, relu))
             if hidden and self._normalise:

@@ -22,19 +22,18 @@ def tiled(dtype: torch.dtype, device: torch.device) -> bool:
     return dtype == torch.bfloat16 and device.type == "cpu" and _native.has_tiles()
 
 
-def forward(x: Tensor, rest: Tensor, weight: Tensor, bias: Tensor, out: Tensor, relu: bool) -> Step:
+def forward(x: Tensor, rest: Tensor | None, weight: Tensor, bias: Tensor, out: Tensor, relu: bool) -> Step:
     """out (h, b, o) = x (h, b, i) weight (h, i, o) + bias (h, 1, o), then ReLU if asked for.
 
-    rest (h, b, r) is added to the last r columns of x, without being rounded there; r may be 0.
+    rest (h, b, r) is added to the last r columns of x, without being rounded there.
     """
-    fine = rest.shape[2]
     if tiled(out.dtype, out.device):
-        left = rest[0] if fine else None
+        left = None if rest is None else rest[0]
         return _one(_native.Product(x[0], weight[0], out[0], rest=left, bias=bias[0], relu=relu), out)
-    last = weight[:, weight.shape[1] - fine :]
 
     def step() -> None:
-        torch.baddbmm(torch.baddbmm(bias, rest, last) if fine else bias, x, weight, out=out)
+        offset = bias if rest is None else torch.baddbmm(bias, rest, weight[:, -rest.shape[2] :])
+        torch.baddbmm(offset, x, weight, out=out)
         if relu:
             out.relu_()
 

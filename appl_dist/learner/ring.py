@@ -123,10 +123,6 @@ class Ring:
             found.append(Stored(actor, seq, rows["other"], rows["action"][:n], rows["reward"][:n]))
         return found
 
-    def actor_ids(self) -> list[str]:
-        """Every actor that ever stored a rollout."""
-        return list(self._slots)
-
     # ---- in
 
     def insert(self, rollout: Rollout, actor_id: str, seq: int) -> bool:

@@ -142,10 +142,10 @@ void bind_learner(nb::module_ &m) {
           nb::arg("tau"), "target += tau (parameters - target) in place, (n,) float32; copy as in adam.");
     m.def("has_tiles", [] { return amx_available() != 0; }, "Whether `Product` can run on this processor.");
     nb::class_<Product>(m, "Product",
-                        "out (m, n) = a (m, k) b (k, n) + bias (1, n), all bfloat16, summed in float32. rest (m, r): added to "
-                        "the last r columns of a, not rounded. "
-                        "transpose_a, transpose_b: a, b are stored transposed. relu: negative results become 0. open (m, n): "
-                        "results become 0 where it is not positive. sums (1, n) becomes the sums of b's columns.")
+                        "out (m, n) = a (m, k) b (k, n) + bias (1, n), all bfloat16, summed in float32. rest "
+                        "(m, r): added to the last r columns of a, not rounded. transpose_a, transpose_b: a, b are "
+                        "stored transposed. relu: negative results become 0. open (m, n): results become 0 where it is "
+                        "not positive. sums (1, n) becomes the sums of b's columns.")
         .def(nb::init<const appl::Array &, const appl::Array &, const appl::Array &, bool, bool,
                       const std::optional<appl::Array> &, const std::optional<appl::Array> &, bool,
                       const std::optional<appl::Array> &, const std::optional<appl::Array> &>(),

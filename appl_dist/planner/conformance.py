@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from appl_dist.errors import ArgumentParser, UserError
+from appl_dist.arguments import ArgumentParser
+from appl_dist.errors import UserError
 from appl_dist.planner import vector_episodes, vectors
 from appl_dist.planner.parameters import Arithmetic
 from appl_dist.planner.vectors import Record, Tally

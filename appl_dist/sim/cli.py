@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist.errors import ArgumentParser, UserError
+from appl_dist.arguments import ArgumentParser
+from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.metrics import NAMES, Grid, c_space

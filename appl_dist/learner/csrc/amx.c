@@ -156,15 +156,15 @@ static const struct {
 } eight_tiles = {1, 0, {0}, {64, 64, 64, 64, 64, 64, 64, 64}, {16, 16, 16, 16, 16, 16, 16, 16}};
 
 AMX void amx_multiply(const amx_product *p, void *scratch) {
-    const size_t depth = tiles_deep(p), tile = TILE_BYTES / 2, rest = blocks(p->k, DEPTH) * tile;
+    const size_t depth = tiles_deep(p), tile = TILE_BYTES / 2, behind = blocks(p->k, DEPTH) * tile;
     uint16_t *a = scratch, *b = a + packed_bytes(p->m, depth) / 2;
     if (p->sums) column_sums(p);
     pack(&p->a, p->m, p->k, depth, p->a.transposed, p->a.transposed, a);
     pack(&p->b, p->n, p->k, depth, !p->b.transposed, p->b.transposed, b);
     if (p->fine) {
         const amx_factor last = {p->b.data + (p->k - p->fine) * p->b.step, p->b.step, 0};
-        pack(&p->rest, p->m, p->fine, depth, 0, 0, a + rest);
-        pack(&last, p->n, p->fine, depth, 1, 0, b + rest);
+        pack(&p->rest, p->m, p->fine, depth, 0, 0, a + behind);
+        pack(&last, p->n, p->fine, depth, 1, 0, b + behind);
     }
     _tile_loadconfig(&eight_tiles);
     float sums[BLOCK * BLOCK] __attribute__((aligned(64)));
