@@ -23,7 +23,7 @@ from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.environment import EVALUATION, environment_arguments, worlds_of
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.launch.runs import announce, announce_gone, prepare, whereabouts
+from appl_dist.launch.runs import announce, announce_gone, prepare, require_run, whereabouts
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -140,6 +140,8 @@ def actor(settings: Settings) -> int:
 
             drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
             return 0
+        if own.run:
+            require_run(Path(own.run), run_id)
         frozen = from_dict(served)
         with open_spool(own, frozen.actor, run_id, identity, frozen.run.sync) as spool:
             act_in_run(frozen, session, run_id, spool, stop.is_set)

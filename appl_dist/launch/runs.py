@@ -85,5 +85,14 @@ def whereabouts(folder: Path) -> Whereabouts:
         raise UserError(f"{folder / LEARNER_FILE}: cannot be read ({error})") from None
 
 
+def require_run(folder: Path, run_id: str) -> None:
+    """UserError if the learner that answered has another run than the one in `folder`.
+
+    An address written down long ago, or the default one, may be another run's by now.
+    """
+    if run_id != folder.resolve().name:
+        raise UserError(f"no learner of the run in {folder}: the one that answers has run {run_id}")
+
+
 def _write(folder: Path, where: Whereabouts) -> None:
     write_atomic(folder / LEARNER_FILE, json.dumps({"endpoint": where.endpoint, "ended": where.ended}))

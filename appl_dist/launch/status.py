@@ -10,7 +10,7 @@ from typing import Any
 from appl_dist.config import Settings
 from appl_dist.errors import UserError
 from appl_dist.launch import view
-from appl_dist.launch.runs import whereabouts
+from appl_dist.launch.runs import require_run, whereabouts
 from appl_dist.wire.control import fetch_run, fetch_status
 from appl_dist.wire.credentials import VIEWER
 
@@ -20,7 +20,7 @@ HERE = "--here"
 
 
 def status(settings: Settings, here: bool = False) -> int:
-    """Print the status of the run; UserError if nobody answers or the learner hangs.
+    """Print the status of the run; UserError if nobody answers, or another run's learner, or the learner hangs.
 
     here: also if no actor of this host has been heard of lately.
     """
@@ -34,6 +34,8 @@ def status(settings: Settings, here: bool = False) -> int:
         wire = replace(wire, endpoint=where.endpoint or wire.endpoint)
     with open_session(wire, listen=False, identity=VIEWER) as session:
         run_id, _ = fetch_run(session, ANSWER_S)
+        if settings.actor.run:
+            require_run(Path(settings.actor.run), run_id)
         answer = fetch_status(session, run_id, ANSWER_S)
     if "error" in answer:
         raise UserError(f"the learner cannot tell its status: {answer['error']}")

@@ -11,7 +11,7 @@ import pytest
 from appl_dist.config import load
 from appl_dist.errors import UserError
 from appl_dist.launch.roles import Patience, open_spool
-from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare, whereabouts
+from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare, require_run, whereabouts
 from appl_dist.launch.status import check
 
 SMALL = ["world.count=6", "evaluation.worlds=0:2"]
@@ -60,6 +60,12 @@ def test_where_the_learner_is(tmp_path: Path) -> None:
     (tmp_path / "learner.json").write_text("{")
     with pytest.raises(UserError, match=r"learner\.json"):
         whereabouts(tmp_path)
+
+
+def test_another_runs_learner_at_the_same_address_is_told_apart(tmp_path: Path) -> None:
+    require_run(tmp_path / "mine", "mine")
+    with pytest.raises(UserError, match=r"no learner of the run in .*mine: the one that answers has run theirs"):
+        require_run(tmp_path / "mine", "theirs")
 
 
 def test_an_actor_takes_the_first_free_name_and_first_of_all_a_dead_ones_rollouts(tmp_path: Path) -> None:
