@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -14,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from appl_dist.launch.ledger import Ledger, run_ledger
+from tests.metrics_file import transitions
 from tests.unit.wire.support import free_endpoint
 
 LEARNER = [
@@ -143,9 +143,7 @@ class Cluster:
 
     def steps(self) -> int:
         """Transitions in replay, as last reported."""
-        file = self.run / "metrics.jsonl"
-        lines = file.read_text().splitlines() if file.exists() else []
-        return next((int(json.loads(line)["step"]) for line in reversed(lines) if line.endswith("}")), 0)
+        return transitions(self.run)
 
     def wait_for(self, what: Callable[[], object], says: str) -> float:
         """How long it took, s."""

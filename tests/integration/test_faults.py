@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.integration.cluster import Cluster
+from tests.metrics_file import records
 
 FREEZE_S, CUT_S = 15.0, 20.0
 
@@ -86,8 +87,7 @@ def test_a_learner_killed_five_times_still_learns(cluster: Cluster) -> None:
 
 def updates_and_due(run: Path) -> tuple[float, float]:
     """Updates made by the last report, and how many 64 samples per transition are in batches of 256."""
-    lines = (run / "metrics.jsonl").read_text().splitlines()
-    last = next(json.loads(line) for line in reversed(lines) if line.endswith("}"))
+    last = next(record for record in reversed(records(run)) if "rate/updates" in record)  # others are of worlds
     return last["rate/updates"], 64.0 * (last["step"] - 60) / 256.0
 
 
@@ -191,8 +191,7 @@ def test_a_full_spool_holds_the_actor_back_and_drains_in_order(tmp_path: Path) -
 
 
 def stale_share(run: Path) -> float:
-    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines() if line.endswith("}")]
-    return max(line.get("policy/stale_share", 0.0) for line in lines)
+    return max(record.get("policy/stale_share", 0.0) for record in records(run))
 
 
 @pytest.mark.parametrize("security", ["lan", "tls"])

@@ -20,6 +20,7 @@ from appl_dist.wire.control import fetch_run, fetch_status
 from appl_dist.wire.session import open_session
 from appl_dist.wire.settings import WireSettings
 from tests.integration.test_train import free_port
+from tests.metrics_file import transitions
 
 SMALL = (
     "world.count=6", "run.transitions=1000000", "learner.min_transitions=60", "learner.td3.hidden=[32,32]",
@@ -63,9 +64,7 @@ class Fleet:
             return [a["id"] for a in fetch_status(session, run_id, 30.0)["actors"] if a["silent_s"] < 60.0]
 
     def transitions(self) -> int:
-        file = self.run / "metrics.jsonl"
-        lines = file.read_text().splitlines() if file.exists() else []
-        return int(json.loads(lines[-1])["step"]) if lines else 0
+        return transitions(self.run)
 
     def grow(self, more: int) -> None:
         target = self.transitions() + more

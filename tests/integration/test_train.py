@@ -17,6 +17,7 @@ import pytest
 
 from appl_dist.learner.replay import Replay
 from appl_dist.policy_file import PolicyFile
+from tests.metrics_file import transitions
 
 SMALL = [
     "world.count=6",
@@ -76,9 +77,7 @@ class Run:
 
     def steps(self) -> int:
         """Transitions of the last line of metrics.jsonl."""
-        file = self.folder / "metrics.jsonl"
-        lines = file.read_text().splitlines() if file.exists() else []
-        return int(json.loads(lines[-1])["step"]) if lines else 0
+        return transitions(self.folder)
 
 
 def _command(process: psutil.Process) -> list[str]:

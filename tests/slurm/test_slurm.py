@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from appl_dist.launch.ledger import run_ledger
+from tests.metrics_file import transitions
 from tests.slurm.cluster import Cluster, missing_programs
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -56,9 +57,7 @@ class Run:
         return done.stdout
 
     def transitions(self) -> int:
-        file = self.folder / "metrics.jsonl"
-        lines = file.read_text().splitlines() if file.exists() else []
-        return int(json.loads(lines[-1])["step"]) if lines else 0
+        return transitions(self.folder)
 
     def grow(self, more: int) -> None:
         target = self.transitions() + more
