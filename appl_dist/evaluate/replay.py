@@ -29,6 +29,9 @@ OpenEnv = Callable[[Evaluation], NavigationEnv]  # the environment of an evaluat
 class Frame:
     """One moment of a trial, in the world frame. parameters: (n,) in force.
 
+    What the planner holds is in the odometry frame; it is moved by odometry's error of that moment, so that it lies
+    about the robot as the planner sees it.
+
     pose (3,) x, y, yaw; twist (2,) v, w; scan (720,) m, inf = no return, with its angles and mount in `Recording`;
     plan (k, 2); trajectory (k, 2): the roll-out chosen last; costmap (rows, columns) with its lower left corner (2,).
     """
@@ -164,11 +167,13 @@ def _difference(old: Trial, new: Trial) -> str:
 
 def _frame(env: NavigationEnv) -> Frame:
     loop = env.loop
-    navigator, origin = loop.navigator, env.protocol.start(env.world)[:2]
+    navigator, simulator = loop.navigator, loop.simulator
+    drift = simulator.odom_pose[:2] - simulator.pose[:2]  # the axes of both frames stay parallel
+    origin = env.protocol.start(env.world)[:2] - drift
     return Frame(
         t_s=loop.now_ms / 1000.0,
-        pose=loop.simulator.pose,
-        twist=loop.simulator.twist,
+        pose=simulator.pose,
+        twist=simulator.twist,
         scan=loop.scan,
         plan=navigator.path + origin,
         trajectory=navigator.trajectory[:, :2] + origin,

@@ -60,15 +60,16 @@ def map_figure(recordings: Sequence[Recording], what: str = SPEED, columns: int 
     if line is not None:
         bar = figure.colorbar(line, ax=list(panels), label=values[0][1], shrink=0.7, pad=0.01, aspect=30)
         bar.ax.tick_params(labelsize=7)
+    figure.supxlabel("x, m", fontsize=8)
+    figure.supylabel("y, m", fontsize=8)
     return figure
 
 
 def inset_figure(recording: Recording, frame: Frame, what: str = SPEED) -> Figure:
     """A trial's map and, at the moment of `frame`, the lidar's view and the local costmap with plan and roll-out."""
-    figure = new_figure(4.2)
-    grid = figure.add_gridspec(2, 3, width_ratios=(1.1, 1.0, 1.0))
-    overview = figure.add_subplot(grid[:, 0])
-    lidar, costs = figure.add_subplot(grid[:, 1]), figure.add_subplot(grid[:, 2])
+    figure = new_figure(3.3)
+    figure.set_layout_engine("compressed")
+    overview, lidar, costs = figure.subplots(1, 3, width_ratios=(0.75, 1.0, 1.0))  # all about equally high
     values, label = path_values(recording, what)
     draw_world(overview, recording)
     line = draw_path(overview, recording, values, (float(values.min()), max(float(values.max()), 1e-9)))
@@ -80,7 +81,7 @@ def inset_figure(recording: Recording, frame: Frame, what: str = SPEED) -> Figur
     for panel, title in ((lidar, f"lidar at {frame.t_s:.1f} s"), (costs, f"local costmap at {frame.t_s:.1f} s")):
         panel.set_title(title, fontsize=8)
         x, y, _ = frame.pose
-        panel.set(xlim=(x - 1.6, x + 1.6), ylim=(y - 1.2, y + 2.4), aspect="equal")
+        panel.set(xlim=(x - 1.5, x + 1.5), ylim=(y - 1.2, y + 2.4), aspect="equal")
         panel.tick_params(labelsize=7)
     draw_cylinders(lidar, recording.world, "#DDDDDD")
     points = recording.scan_points(frame)
@@ -93,6 +94,9 @@ def inset_figure(recording: Recording, frame: Frame, what: str = SPEED) -> Figur
         panel.plot(*frame.plan.T, color="#009E73", linewidth=1.3, label="global plan")
         panel.plot(*frame.trajectory.T, color=BLUE, linewidth=2.0, label="chosen roll-out")
         draw_hull(panel, frame.pose, BLUE)
+    overview.set_ylabel("y, m", fontsize=8)
+    for panel in (overview, lidar, costs):
+        panel.set_xlabel("x, m", fontsize=8)
     figure.legend(*lidar.get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=7, frameon=False)
     return figure
 
