@@ -47,12 +47,15 @@ def map_figure(recordings: Sequence[Recording], what: str = SPEED, columns: int 
     figure = new_figure(2.7 * rows + 0.2)
     panels = figure.subplots(rows, -(-len(recordings) // rows), squeeze=False).ravel()  # rows as even as they go
     values = [path_values(r, what) for r in recordings]
-    top = max((float(v.max()) for v, _ in values), default=1.0)
-    bottom = 0.0 if what == SPEED else min(float(v.min()) for v, _ in values)
+    if what == SPEED:
+        limits = 0.0, max((float(v.max()) for v, _ in values), default=1.0) or 1.0
+    else:  # all that the parameter may be, so that what hardly varies does not seem to
+        k = recordings[0].names.index(what)
+        limits = min(float(r.low[k]) for r in recordings), max(float(r.high[k]) for r in recordings)
     line = None
     for panel, recording, (v, _) in zip(panels, recordings, values, strict=False):
         draw_world(panel, recording)
-        line = draw_path(panel, recording, v, (bottom, max(top, bottom + 1e-9)))
+        line = draw_path(panel, recording, v, limits)
         t = recording.trial
         panel.set_title(f"{trial_name(t)}\n{t.outcome}, {t.time_s:.1f} s\n{t.distance_m:.1f} m", fontsize=7)
     for panel in panels[len(recordings) :]:

@@ -136,13 +136,16 @@ def replay_pictures(data: ReportData, open_env: OpenEnv) -> Replays:
             maps.map_figure([found[k] for k in examples]),
         )
     ]
-    moving = [found[k] for k in examples if len(np.unique(found[k].result.parameters[:, 0])) > 1]
+    names = found[subject].names
+    ways = [found[k] for k in examples if found[k].names == names]
+    moving = [r for r in ways if len(np.unique(r.result.parameters, axis=0)) > 1]
     if moving:
-        name = moving[0].names[0]
+        ranges = [np.ptp(r.result.parameters, axis=0) / (r.high - r.low) for r in moving]
+        name = names[int(np.argmax(np.sum(ranges, axis=0)))]
         pictures.append(
             Picture(
                 f"paths_{name}",
-                f"The same ways of policies that adapt, coloured by {name}.",
+                f"The same ways of policies that adapt, coloured by {name}, the parameter that varies most in them.",
                 maps.map_figure(moving, name),
             )
         )

@@ -111,3 +111,5 @@ def test_figures_of_a_trial_have_their_panels(recording: Recording) -> None:
     assert len(costs.images) == 1
     assert overview.get_title().startswith("a/0/0")
     assert len(maps.map_figure([recording] * 7).axes) == 8 + 1  # two rows of four, and the colour bar
+    bar = maps.map_figure([recording], "max_vel_x").axes[-1]
+    assert bar.get_ylim() == (recording.low[0], recording.high[0])  # not what of it was used
