@@ -36,8 +36,8 @@ bench: venv
 	$(BIN)/python benchmarks/actor_throughput.py --worlds "$(BARN)"
 	$(BIN)/python benchmarks/planner_cycle.py
 	$(BIN)/python benchmarks/td3_update.py
-	$(BIN)/python benchmarks/replay.py
-	$(BIN)/python benchmarks/wire.py
+	$(BIN)/python benchmarks/replay_sampling.py
+	$(BIN)/python benchmarks/wire_throughput.py
 
 # The C core under AddressSanitizer and UndefinedBehaviorSanitizer, in a build folder and an import path of its own.
 ASAN_TESTS ?= tests/unit/planner tests/unit/sim tests/property tests/conformance

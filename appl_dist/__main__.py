@@ -51,15 +51,15 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(role: str, rest: list[str]) -> int:
     if role == "worlds":
-        from appl_dist.sim.cli import worlds_main
+        from appl_dist.sim.worlds_command import worlds_main
 
         return worlds_main(rest)
     if role == "replay":
-        from appl_dist.launch.replay import replay_main
+        from appl_dist.launch.report_commands import replay_main
 
         return replay_main(rest)
     if role == "report":
-        from appl_dist.launch.replay import report_main
+        from appl_dist.launch.report_commands import report_main
 
         return report_main(rest)
     if role == "conformance":
@@ -67,7 +67,7 @@ def _run(role: str, rest: list[str]) -> int:
 
         return conformance(rest)
     if role == "keys":
-        from appl_dist.launch.keys import main as keys
+        from appl_dist.launch.make_keys import main as keys
 
         return keys(rest)
     if role == "ledger":

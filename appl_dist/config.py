@@ -30,12 +30,12 @@ from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.reward import RewardSettings
 from appl_dist.actor.timing import TimingSettings
 from appl_dist.errors import UserError
-from appl_dist.launch.settings import LaunchSettings
+from appl_dist.launch.launch_settings import LaunchSettings
 from appl_dist.learner.settings import LearnerSettings
 from appl_dist.planner.parameters import Arithmetic, PlannerSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings
 from appl_dist.spec import SPACES
-from appl_dist.wire.settings import WireSettings
+from appl_dist.wire.wire_settings import WireSettings
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")

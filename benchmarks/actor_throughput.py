@@ -39,7 +39,7 @@ def run_actor(overrides: list[str], seconds: float, seed: int, out: Any) -> None
     from appl_dist.actor.env import NavigationEnv
     from appl_dist.actor.exploration import ExplorationSettings, explore
     from appl_dist.actor.rollout import collect
-    from appl_dist.actor.worldset import select_worlds
+    from appl_dist.actor.world_split import select_worlds
     from appl_dist.config import load
 
     settings = load(overrides)
@@ -110,7 +110,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in `appl-dist actor`: its idle threads would take a core
 
     start = time.perf_counter()
-    subprocess.run([sys.executable, "-c", "import appl_dist.actor.main, appl_dist.config"], check=True)
+    subprocess.run([sys.executable, "-c", "import appl_dist.actor.collect, appl_dist.config"], check=True)
     print(f"start-up (interpreter and imports of an actor): {time.perf_counter() - start:.2f} s")
 
     [(_, sim_s, episodes, wall, memory, stages)] = together(run_actor, [(overrides, a.seconds, 0)])

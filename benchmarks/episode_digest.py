@@ -21,7 +21,7 @@ import numpy as np
 def digests(worlds: str, episodes: int, timing: str) -> list[str]:
     """One line an episode: world, simulated ms, digest."""
     from appl_dist.actor.env import NavigationEnv
-    from appl_dist.actor.worldset import select_worlds
+    from appl_dist.actor.world_split import select_worlds
     from appl_dist.config import load
 
     settings = load([f"timing={timing}", f"world.path={worlds}"])

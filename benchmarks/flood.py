@@ -23,12 +23,12 @@ import psutil
 import zenoh
 from wire import RUN, Discard, ask, encode_rollout, endpoint, episode
 
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.control import ControlServer, fetch_status
 from appl_dist.wire.liveness import Roster
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
+from appl_dist.wire.wire_settings import WireSettings
 
 KINDS = ("nothing", "uploads", "names", "large", "progress", "questions", "tokens")
 IN_FLIGHT = 256

@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.table import Table
 
 from appl_dist.actor.protocol import PROTOCOLS
-from appl_dist.actor.worldset import select_worlds
+from appl_dist.actor.world_split import select_worlds
 from appl_dist.config import load
 from appl_dist.errors import UserError
 from appl_dist.evaluate.progress import show_progress

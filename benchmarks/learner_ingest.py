@@ -28,15 +28,15 @@ import psutil
 
 from appl_dist.learner.settings import LearnerSettings, TD3Settings
 from appl_dist.spec import DWA, Rollout
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.codec import Ack, UploadHeader, decode_header, encode_header, encode_rollout
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
+from appl_dist.wire.wire_settings import WireSettings
 
 if TYPE_CHECKING:  # clients are light: torch and the simulator are imported where they are used
-    from appl_dist.learner.main import Learner
+    from appl_dist.learner.learner import Learner
 
 RUN = "bench"
 BATCH = 41  # transitions: 64 KB
@@ -48,7 +48,7 @@ def record(count: int) -> list[bytes]:
     """`count` batches of real transitions: random parameters in generated worlds."""
     from appl_dist.actor.env import NavigationEnv
     from appl_dist.actor.rollout import collect
-    from appl_dist.sim.generate import generate_worlds
+    from appl_dist.sim.generator import generate_worlds
 
     env, rng, episodes = NavigationEnv(generate_worlds(20, 0)), np.random.default_rng(0), []
     while sum(map(len, episodes)) < count * BATCH:
@@ -75,8 +75,8 @@ def endpoint() -> str:
 
 def learner(bus: Bus, folder: Path, train: bool) -> Learner:
     """A learner that never holds an upload back, and trains at full speed or not at all."""
-    from appl_dist.learner.main import Learner
-    from appl_dist.learner.run import Run
+    from appl_dist.learner.learner import Learner
+    from appl_dist.learner.run_info import Run
 
     settings = LearnerSettings(
         td3=TD3Settings(), replay_capacity=500_000, samples_tolerance=FOR_EVER,

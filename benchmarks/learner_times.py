@@ -19,8 +19,8 @@ from pathlib import Path
 START = """
 import sys
 from pathlib import Path
-from appl_dist.learner.main import Learner
-from appl_dist.learner.run import Run
+from appl_dist.learner.learner import Learner
+from appl_dist.learner.run_info import Run
 from appl_dist.learner.settings import LearnerSettings
 from appl_dist.spec import DWA
 from appl_dist.wire.memory import MemoryHub

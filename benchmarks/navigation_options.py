@@ -23,7 +23,7 @@ import torch
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.exploration import ExplorationSettings, explore
 from appl_dist.actor.rollout import collect
-from appl_dist.actor.worldset import select_worlds
+from appl_dist.actor.world_split import select_worlds
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3

@@ -27,8 +27,8 @@ from typing import cast
 
 import numpy as np
 
+from appl_dist.actor.collect import Explorer
 from appl_dist.actor.env import NavigationEnv
-from appl_dist.actor.main import Explorer
 from appl_dist.actor.spool import Spool
 from appl_dist.config import from_dict
 from appl_dist.launch.ledger import run_ledger
@@ -38,9 +38,9 @@ from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, fetch_run
 from appl_dist.wire.liveness import Presence
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
+from appl_dist.wire.wire_settings import WireSettings
 from benchmarks.recovery import endpoint, returns
 
 STEPS = 10

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from appl_dist.learner.networks import FlatMLP
 from appl_dist.learner.replay import Replay
-from appl_dist.learner.rows import Batch
+from appl_dist.learner.row_layout import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
 from appl_dist.spec import Rollout

@@ -91,7 +91,7 @@ def test_leaves_import_nothing_of_ours(leaf: str) -> None:
 
 def test_an_actor_starts_without_torch_or_plotting() -> None:
     code = (
-        "import sys, appl_dist.launch.roles, appl_dist.actor.main, appl_dist.config;"
+        "import sys, appl_dist.launch.roles, appl_dist.actor.collect, appl_dist.config;"
         "print([m for m in ('torch', 'matplotlib', 'scipy', 'tensorboard') if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

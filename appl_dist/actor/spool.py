@@ -3,7 +3,7 @@
 One file a rollout, named by sequence number and written atomically, so a killed actor loses only the episode
 it was driving. Bounded in count and bytes: a full spool blocks `put`, which is how a slow or absent learner
 holds its actors back. One process at a time owns a folder. `produced.log` beside them accounts for every
-rollout that ever was in it (`produced.py`).
+rollout that ever was in it (`produced_log.py`).
 
 A file is a CRC-32 and the blob. Unless `sync` is wanted files outlive the process, not a power cut; a file that one
 tore is found by its checksum at the next start and dropped.
@@ -22,7 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from appl_dist.actor.produced import ProducedLog
+from appl_dist.actor.produced_log import ProducedLog
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.wire import receipt as receipts

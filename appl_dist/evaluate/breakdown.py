@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from appl_dist.evaluate.analysis import Analysis, Group
 from appl_dist.evaluate.folder import Course
 from appl_dist.evaluate.statistics import Correlation, Samples, benjamini_hochberg, bootstrap_interval, spearman
-from appl_dist.sim.generate import FILLS, SMOOTHINGS
-from appl_dist.sim.metrics import NAMES
+from appl_dist.sim.difficulty import NAMES
+from appl_dist.sim.generator import FILLS, SMOOTHINGS
 
 THIRDS = ("easy", "medium", "difficult")
 CLIPS = {"since 2024": (2.0, 8.0), "before 2024": (4.0, 8.0)}  # in optimal times

@@ -23,7 +23,7 @@ from appl_dist.evaluate.runner import course_of
 from appl_dist.evaluate.trial_log import read_rows
 from appl_dist.evaluate.trials import TRIALS_FILE, Method, Trial
 from appl_dist.files import write_atomic
-from appl_dist.sim.metrics import NAMES
+from appl_dist.sim.difficulty import NAMES
 from appl_dist.sim.worlds import World
 
 HEAD_FILE, COURSES_FILE = "evaluation.json", "worlds.csv"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from appl_dist.actor.worldset import select_worlds
+from appl_dist.actor.world_split import select_worlds
 from appl_dist.config import Settings
 from appl_dist.planner.parameters import Arithmetic
 from appl_dist.sim.worlds import World

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from appl_dist.actor.worldset import select_worlds, split_groups
+from appl_dist.actor.world_split import select_worlds, split_groups
 from appl_dist.config import Settings, as_dict, cores
 from appl_dist.evaluate.workers import Crew
 from appl_dist.launch.environment import environment_arguments
-from appl_dist.launch.replay import open_env
+from appl_dist.launch.report_commands import open_env
 from appl_dist.launch.view import make_console
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ def evaluate_methods(
     settings: Settings, methods: Sequence[tuple[str, str]], folder: Path, console: Console, run: Path | None = None
 ) -> None:
     """Evaluate (label, policy) pairs under `settings` into `folder` and report. run: the training run it belongs to."""
-    from appl_dist.evaluate.main import evaluate as run_evaluation
+    from appl_dist.evaluate.comparison import evaluate as run_evaluation
 
     world = settings.world
     worlds = select_worlds(world.path, world.count, world.seed, settings.evaluation.worlds)
@@ -55,7 +55,7 @@ def evaluate_methods(
             settings=as_dict(settings),
             console=console,
         )
-    from appl_dist.report.main import print_tables, write_report
+    from appl_dist.report.build import print_tables, write_report
 
     report = write_report([run or folder], folder, open_env, pictures=settings.evaluation.report)
     print_tables(report, console)
@@ -67,7 +67,7 @@ def _workers(settings: Settings, folder: Path) -> Iterator[int | Crew]:
     if not settings.evaluation.spread:
         yield settings.evaluation.workers or cores()
         return
-    from appl_dist.launch.spread import SpreadCrew
+    from appl_dist.launch.distributed_evaluation import SpreadCrew
     from appl_dist.wire.session import open_session
 
     with open_session(settings.wire, listen=True) as session:

@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from appl_dist.actor.produced import FILE, Produced, read_produced
+from appl_dist.actor.produced_log import FILE, Produced, read_produced
 from appl_dist.arguments import ArgumentParser
 from appl_dist.errors import UserError
 from appl_dist.learner.replay import Replay

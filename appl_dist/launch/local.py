@@ -147,7 +147,7 @@ def _serial(settings: Settings) -> bool:
 
 def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
     """The final policy against the configured methods on worlds that training did not see."""
-    from appl_dist.learner.main import POLICY_FILE
+    from appl_dist.learner.learner import POLICY_FILE
 
     methods = [*settings.evaluation.methods.items(), ("learned", str(folder / POLICY_FILE))]
     evaluate_methods(settings, methods, folder / "evaluation", console, run=folder)

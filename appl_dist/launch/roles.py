@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from appl_dist.actor.collect import Explorer, act, actor_seed
 from appl_dist.actor.env import NavigationEnv
-from appl_dist.actor.main import Explorer, act, actor_seed
 from appl_dist.actor.spool import Spool, SpoolInUse
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
@@ -33,7 +33,7 @@ from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
 
 if TYPE_CHECKING:
-    from appl_dist.learner.main import Learner
+    from appl_dist.learner.learner import Learner
 
 log = logging.getLogger(__name__)
 
@@ -96,8 +96,8 @@ def learner(settings: Settings) -> int:
 def build_learner(settings: Settings, bus: Bus) -> Learner:
     """The learner of `settings`, new or continued from its run folder, which `prepare` has made. Raises UserError."""
     try:
-        from appl_dist.learner.main import Learner
-        from appl_dist.learner.run import Run
+        from appl_dist.learner.learner import Learner
+        from appl_dist.learner.run_info import Run
     except ImportError as error:
         raise UserError(f"the learner needs torch: pip install 'appl-dist[learner]' ({error})") from None
 
@@ -136,7 +136,7 @@ def actor(settings: Settings) -> int:
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
         stop = stop_event()  # until here there is nothing to end in order
         if EVALUATION in served:
-            from appl_dist.launch.spread import drive_trials
+            from appl_dist.launch.distributed_evaluation import drive_trials
 
             drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
             return 0

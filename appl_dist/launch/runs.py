@@ -12,7 +12,7 @@ from appl_dist.config import CONFIG_FILE, Settings, as_dict, load
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.launch.environment import worlds_of
-from appl_dist.wire.keys import is_name
+from appl_dist.wire.key_expressions import is_name
 
 LEARNER_FILE = "learner.json"
 _EVERYWHERE = ("0.0.0.0", "[::]")

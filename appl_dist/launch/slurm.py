@@ -12,8 +12,8 @@ from pathlib import Path
 
 from appl_dist.config import CONFIG_FILE, Settings
 from appl_dist.errors import UserError
+from appl_dist.launch.launch_settings import LaunchSettings
 from appl_dist.launch.runs import LEARNER_FILE
-from appl_dist.launch.settings import LaunchSettings
 from appl_dist.wire.credentials import ACTOR
 
 _AGAIN = """\

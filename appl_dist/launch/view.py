@@ -19,7 +19,7 @@ def make_console() -> Console:
 
 
 def render(status: dict[str, Any] | None, notes: list[str], hint: str = "") -> RenderableType:
-    """A panel for one status of the learner (learner/main.py). notes: lines of the launcher; hint: its foot."""
+    """A panel for one status of the learner (learner/learner.py). notes: lines of the launcher; hint: its foot."""
     if status is None:
         return Panel("waiting for the learner …", title="appl-dist train")
     progress = Table.grid(padding=(0, 2), expand=True)

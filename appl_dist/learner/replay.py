@@ -1,9 +1,9 @@
 """Replay memory: rollouts in, n-step batches out.
 
-The ring (`ring.py`) holds each observation once. Its scans are fixed point of [-1, 1] (uint8: error at most 1/255,
-3.9 mm of range, which moves actions by less than the least exploration noise: benchmarks/replay.py); the rest is
-float32. A row is 796 bytes, so 5 million transitions take 4.1 GB. Rows are memory-mapped (`folder`) or plain memory
-(`folder` None).
+The ring (`rollout_ring.py`) holds each observation once. Its scans are fixed point of [-1, 1] (uint8: error at most
+1/255, 3.9 mm of range, which moves actions by less than the least exploration noise: benchmarks/replay_sampling.py);
+the rest is float32. A row is 796 bytes, so 5 million transitions take 4.1 GB. Rows are memory-mapped (`folder`) or
+plain memory (`folder` None).
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
-from appl_dist.learner.priorities import Priorities, Rows
-from appl_dist.learner.ring import Ring, rows_for
-from appl_dist.learner.rows import Batch, RowLayout
+from appl_dist.learner.rollout_ring import Ring, rows_for
+from appl_dist.learner.row_layout import Batch, RowLayout
+from appl_dist.learner.sum_tree import Priorities, Rows
 from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, FloatArray
 
 
@@ -26,7 +26,7 @@ class Replay(Ring):
     """A ring of rollouts holding at most `capacity` transitions (fewer if rollouts average under 16 each).
 
     One thread may insert while another samples. priority_exponent 0 samples uniformly, above it by TD error
-    (`priorities.py`). sync: `insert` returns when the rollout is on the disk. UserError if `folder` holds a replay of
+    (`sum_tree.py`). sync: `insert` returns when the rollout is on the disk. UserError if `folder` holds a replay of
     another shape, is in use, or its disk is full.
     """
 

@@ -20,7 +20,7 @@ from appl_dist.errors import UserError
 from appl_dist.learner.networks import FlatMLP
 from appl_dist.learner.optimiser import Adam, average
 from appl_dist.learner.products import tiled
-from appl_dist.learner.rows import Batch
+from appl_dist.learner.row_layout import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.workers import Workers
 from appl_dist.spec import FloatArray

@@ -8,7 +8,7 @@
 #include "check.h"
 
 extern "C" {
-#include "field.h"
+#include "grid_connectivity.h"
 #include "geometry.h"
 #include "lidar.h"
 #include "robot.h"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from appl_dist.errors import UserError
-from appl_dist.evaluate.replay import Frame, Recording, trial_name
+from appl_dist.evaluate.trial_replay import Frame, Recording, trial_name
 from appl_dist.files import write_atomic
 from appl_dist.report.maps import hull
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist.evaluate.replay import Frame, Recording, trial_name
+from appl_dist.evaluate.trial_replay import Frame, Recording, trial_name
 from appl_dist.report.style import BLUE, LINES, VERMILLION, new_figure
 from appl_dist.sim.worlds import World
 

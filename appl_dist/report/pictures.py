@@ -13,7 +13,7 @@ import numpy as np
 from appl_dist.errors import UserError
 from appl_dist.evaluate.analysis import Analysis
 from appl_dist.evaluate.folder import Evaluation
-from appl_dist.evaluate.replay import OpenEnv, Recording, replay, trial_name
+from appl_dist.evaluate.trial_replay import OpenEnv, Recording, replay, trial_name
 from appl_dist.evaluate.trials import Trial
 from appl_dist.report import figures, maps
 from appl_dist.report.data import ReportData

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
-from appl_dist.sim.metrics import GRID, Grid, difficulty, fill_interior
+from appl_dist.sim.difficulty import GRID, Grid, difficulty, fill_interior
 from appl_dist.sim.sdf import parse_sdf
 
 Floats = NDArray[np.float64]

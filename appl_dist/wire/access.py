@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import MAX_HEADER_BYTES, MAX_ROLLOUT_BYTES
 from appl_dist.wire.credentials import LEARNER, VIEWER
-from appl_dist.wire.keys import ANY
+from appl_dist.wire.key_expressions import ANY
 from appl_dist.wire.liveness import MAX_PROGRESS_BYTES
 from appl_dist.wire.work import MAX_RESULT_BYTES
 

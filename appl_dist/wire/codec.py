@@ -28,7 +28,7 @@ import msgpack
 import numpy as np
 
 from appl_dist.spec import OBSERVATION_SIZE, SCAN, WIRE_VERSION, Rollout
-from appl_dist.wire.keys import is_name
+from appl_dist.wire.key_expressions import is_name
 
 MAX_TRANSITIONS = 4096
 MAX_ACTION_SIZE = 64

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appl_dist.errors import UserError
-from appl_dist.wire.keys import is_name
+from appl_dist.wire.key_expressions import is_name
 
 log = logging.getLogger(__name__)
 

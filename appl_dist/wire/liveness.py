@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from appl_dist.spec import WIRE_VERSION
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message
 from appl_dist.wire.codec import pack, unpack_map
 

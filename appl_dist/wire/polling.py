@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus
 
 

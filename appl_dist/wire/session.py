@@ -20,7 +20,7 @@ from appl_dist.errors import UserError
 from appl_dist.wire.access import access_control, rate_limits, size_limits
 from appl_dist.wire.bus import Handle, Message, Query
 from appl_dist.wire.credentials import CA_FILE, CERTIFICATE_FILE, KEY_FILE, LEARNER, USERS_FILE, Identity, find
-from appl_dist.wire.settings import WireSettings
+from appl_dist.wire.wire_settings import WireSettings
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from appl_dist.spec import Rollout
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Query
 from appl_dist.wire.claims import Claims
 from appl_dist.wire.codec import (

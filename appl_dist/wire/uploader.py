@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from appl_dist.errors import UserError
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.codec import (
     MAX_HEADER_BYTES,

@@ -12,7 +12,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message, Query
 from appl_dist.wire.codec import WeightsHeader, decode_header, encode_header
 from appl_dist.wire.polling import LearnerPoll

@@ -17,7 +17,7 @@ from typing import Any
 
 from appl_dist.errors import UserError
 from appl_dist.spec import WIRE_VERSION
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message, Query
 from appl_dist.wire.codec import MAX_HEADER_BYTES, pack, unpack_map
 

@@ -196,7 +196,7 @@ def stale_share(run: Path) -> float:
 
 @pytest.mark.parametrize("security", ["lan", "tls"])
 def test_secrets_are_in_no_log_process_list_or_run_folder(tmp_path: Path, security: str, monkeypatch) -> None:
-    from appl_dist.launch.keys import make_keys
+    from appl_dist.launch.make_keys import make_keys
 
     keys = tmp_path / "keys"
     make_keys(keys, [], [])

@@ -18,7 +18,7 @@ from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.runs import whereabouts
 from appl_dist.wire.control import fetch_run, fetch_status
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
+from appl_dist.wire.wire_settings import WireSettings
 from tests.integration.test_train import free_port
 from tests.metrics_file import transitions
 

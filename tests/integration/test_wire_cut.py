@@ -13,10 +13,10 @@ from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, ControlServer
 from appl_dist.wire.liveness import Presence, Roster
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
+from appl_dist.wire.wire_settings import WireSettings
 from tests.integration.cluster import Cable
 from tests.unit.wire.support import ListStore, free_endpoint, make_rollout, wait_until
 

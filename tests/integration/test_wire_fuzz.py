@@ -22,8 +22,8 @@ from appl_dist.learner.replay import Replay
 from appl_dist.wire.control import ControlServer
 from appl_dist.wire.liveness import Roster
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
+from appl_dist.wire.wire_settings import WireSettings
 from tests.unit.wire.support import free_endpoint, wait_until
 
 MESSAGES = int(os.environ.get("APPL_FUZZ_MESSAGES", "10000"))

@@ -14,8 +14,8 @@ import pytest
 from appl_dist.wire.control import ControlServer, fetch_status
 from appl_dist.wire.liveness import Roster
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
+from appl_dist.wire.wire_settings import WireSettings
 from tests.unit.wire.child import LEASE_S
 from tests.unit.wire.support import FileStore, ScriptedSink, free_endpoint, wait_until
 

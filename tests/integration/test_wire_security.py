@@ -13,9 +13,9 @@ import zenoh
 
 from appl_dist.actor.spool import Spool
 from appl_dist.errors import UserError
-from appl_dist.launch.keys import make_keys
+from appl_dist.launch.make_keys import make_keys
 from appl_dist.learner.ingest import Ingest
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import (
     MAX_ROLLOUT_BYTES,
     Ack,
@@ -30,10 +30,10 @@ from appl_dist.wire.codec import (
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run, fetch_status
 from appl_dist.wire.liveness import Presence, Roster
 from appl_dist.wire.session import Session, open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
+from appl_dist.wire.wire_settings import WireSettings
 from tests.unit.wire.support import ListStore, free_endpoint, make_rollout, wait_until
 
 

@@ -9,7 +9,7 @@ import pytest
 from appl_dist.errors import UserError
 from appl_dist.learner.ingest import Ingest
 from appl_dist.spec import WIRE_VERSION
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import (
     Ack,
     UploadHeader,
@@ -20,9 +20,9 @@ from appl_dist.wire.codec import (
 )
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run
 from appl_dist.wire.session import Session, open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
+from appl_dist.wire.wire_settings import WireSettings
 from tests.unit.wire.support import ListStore, free_endpoint, wait_until
 
 

@@ -1,6 +1,6 @@
 #include <string.h>
 
-#include "layout.h"
+#include "memory_layout.h"
 #include "wide.h"
 
 #define PI 3.14159265358979323846

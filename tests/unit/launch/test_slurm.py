@@ -12,7 +12,7 @@ import pytest
 from appl_dist.config import Settings, load
 from appl_dist.errors import UserError
 from appl_dist.launch import slurm
-from appl_dist.launch.settings import LaunchSettings
+from appl_dist.launch.launch_settings import LaunchSettings
 
 FOLDER, CWD = Path("/shared/runs/a"), Path("/home/u/my work")
 

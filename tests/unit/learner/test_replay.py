@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from appl_dist.errors import UserError
-from appl_dist.learner import storage
+from appl_dist.learner import mapped_file
 from appl_dist.learner.replay import Replay
-from appl_dist.learner.rows import Batch
+from appl_dist.learner.row_layout import Batch
 from appl_dist.spec import OBSERVATION_SIZE, Rollout
 from tests.unit.learner.helpers import rollout, small_replay
 
@@ -211,7 +211,7 @@ def test_capacity_costs_no_disk_before_use(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_a_sentence_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(storage, "CHUNK_BYTES", 4096)
+    monkeypatch.setattr(mapped_file, "CHUNK_BYTES", 4096)
     replay = small_replay(tmp_path, capacity=1000)
     replay.insert(rollout(0, 20), "a", 0)
     more = rollout(100, 200, rewards=np.ones(200))
@@ -271,16 +271,16 @@ class PowerCuts:
         self.folder, self.elsewhere, self.cuts = folder, elsewhere, 0
         self.synced = self.now()
         self.acknowledged = self.given = 0
-        really = storage.MappedArray.sync
+        really = mapped_file.MappedArray.sync
 
-        def sync(array: storage.MappedArray) -> None:
+        def sync(array: mapped_file.MappedArray) -> None:
             assert array.path is not None
             self.check()
             really(array)
             self.synced[array.path.name] = array.path.read_bytes()
             self.check()
 
-        monkeypatch.setattr(storage.MappedArray, "sync", sync)
+        monkeypatch.setattr(mapped_file.MappedArray, "sync", sync)
 
     def now(self) -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in sorted(self.folder.glob("*.bin"))}

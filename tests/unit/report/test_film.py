@@ -18,11 +18,11 @@ from rich.console import Console
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.errors import UserError
+from appl_dist.evaluate.comparison import evaluate
 from appl_dist.evaluate.folder import read_evaluation
-from appl_dist.evaluate.main import evaluate
-from appl_dist.evaluate.replay import Recording, replay
+from appl_dist.evaluate.trial_replay import Recording, replay
 from appl_dist.report import film, maps
-from appl_dist.sim.generate import generate_worlds
+from appl_dist.sim.generator import generate_worlds
 from appl_dist.sim.robot import RobotSettings
 
 SHORT = replace(PROTOCOLS["appl"], limit_s=6.0)

@@ -21,8 +21,8 @@ from appl_dist.errors import UserError
 from appl_dist.evaluate.folder import Course, Head, write_head
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Method, Trial, trial_seed
+from appl_dist.report.build import write_report
 from appl_dist.report.data import gather
-from appl_dist.report.main import write_report
 from tests.unit.evaluate.synthetic import make_trial
 
 pytestmark = pytest.mark.timeout(900)  # two dozen figures, on a machine that may be busy
@@ -196,7 +196,7 @@ import resource, signal, sys
 sys.path.insert(0, {str(ROOT)!r})
 from pathlib import Path
 from appl_dist.errors import UserError
-from appl_dist.report.main import write_report
+from appl_dist.report.build import write_report
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 try:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from appl_dist.errors import UserError
-from appl_dist.sim.cli import save_worlds
-from appl_dist.sim.generate import generate_world, generate_worlds
-from appl_dist.sim.metrics import c_space, difficulty
+from appl_dist.sim.difficulty import c_space, difficulty
+from appl_dist.sim.generator import generate_world, generate_worlds
 from appl_dist.sim.sdf import parse_sdf
 from appl_dist.sim.worlds import field_grid, load_worlds, path_cells
+from appl_dist.sim.worlds_command import save_worlds
 from tests.shared_data import shared
 
 MODEL = """    <model name='unit_cylinder_{k}'>

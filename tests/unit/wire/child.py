@@ -20,9 +20,9 @@ from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run
 from appl_dist.wire.liveness import Presence
 from appl_dist.wire.session import open_session
-from appl_dist.wire.settings import WireSettings
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.uploader import Uploader
+from appl_dist.wire.wire_settings import WireSettings
 from tests.unit.wire.support import FileStore, make_rollout
 
 LEASE_S = 1.0

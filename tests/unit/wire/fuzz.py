@@ -22,7 +22,7 @@ import numpy as np
 import zenoh
 
 from appl_dist.spec import Rollout
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import (
     MAX_ROLLOUT_BYTES,
     Ack,
@@ -33,7 +33,7 @@ from appl_dist.wire.codec import (
     pack,
 )
 from appl_dist.wire.session import Session, open_session
-from appl_dist.wire.settings import WireSettings
+from appl_dist.wire.wire_settings import WireSettings
 from tests.unit.wire.support import make_rollout
 
 IN_FLIGHT = 48  # with two of us, fewer than the learner lets strangers queue: all are read

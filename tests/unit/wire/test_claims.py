@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.claims import Claims
 from appl_dist.wire.memory import MemoryHub
 

@@ -1,7 +1,7 @@
 import pytest
 
 from appl_dist.errors import UserError
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import StateHeader, encode_header, pack
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run, fetch_status
 from appl_dist.wire.memory import MemoryHub

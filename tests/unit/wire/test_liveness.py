@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import pack
 from appl_dist.wire.liveness import MAX_PROGRESS_BYTES, Presence, Roster
 from appl_dist.wire.memory import MemoryHub

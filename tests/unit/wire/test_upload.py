@@ -8,7 +8,7 @@ import pytest
 from appl_dist.actor.spool import Spool
 from appl_dist.errors import UserError
 from appl_dist.learner.ingest import Ingest
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.claims import Claims
 from appl_dist.wire.codec import Ack, UploadHeader, decode_header, encode_header, encode_rollout, pack
 from appl_dist.wire.memory import MemoryHub

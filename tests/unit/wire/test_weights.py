@@ -2,7 +2,7 @@ from dataclasses import asdict
 
 import pytest
 
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import WeightsHeader, encode_header, pack
 from appl_dist.wire.memory import MemoryHub
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber

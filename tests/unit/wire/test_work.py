@@ -9,7 +9,7 @@ import pytest
 
 from appl_dist.errors import UserError
 from appl_dist.spec import WIRE_VERSION
-from appl_dist.wire import keys
+from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import pack, unpack_map
 from appl_dist.wire.memory import MemoryHub, MemorySession
 from appl_dist.wire.work import PATIENCE_S, WorkClient, WorkServer

@@ -1,0 +1,30 @@
+// Velocity samples in blocks of vector width: their arcs, where they end, and what is known of their costs.
+#pragma once
+#include "rollout_arc.h"
+
+enum { SAMPLE_LANES = 16 };
+
+// What a sample waits for: nothing, being stepped through, its waves' distances, a look at its points.
+typedef enum { SCORED, TO_STEP, TO_WAVES, TO_LOOK } sample_stage;
+
+typedef struct sample_block {
+    double v[SAMPLE_LANES], w[SAMPLE_LANES];
+    // Fields of `arc`.
+    double x[SAMPLE_LANES], y[SAMPLE_LANES], th[SAMPLE_LANES], turn[SAMPLE_LANES], pace[SAMPLE_LANES];
+    double per_half[SAMPLE_LANES], dt[SAMPLE_LANES];
+    int32_t steps[SAMPLE_LANES], from[SAMPLE_LANES];
+    // Cell of the last point, and whether it is: arc_cell's answer, SAMPLE_ASTRAY where the arc is not to be trusted.
+    int32_t cx[SAMPLE_LANES], cy[SAMPLE_LANES], known[SAMPLE_LANES];
+    // Scratch of the search.
+    double bound[SAMPLE_LANES];  // of the cost from below, while it is looked at
+    int32_t path[SAMPLE_LANES], goal[SAMPLE_LANES];  // cells from the last point, or at least
+    int32_t occ[SAMPLE_LANES];   // highest cost met so far
+    int32_t back[SAMPLE_LANES], gap[SAMPLE_LANES];  // next point to look at, counted from the last; between those seen
+    uint8_t stage[SAMPLE_LANES];
+} sample_block;
+
+enum { SAMPLE_ASTRAY = -2 };
+
+// From v and w: arcs, steps and last cells of all lanes.
+void samples_roll(sample_block *b, const rollout_planner *p, const motion *m);
+arc samples_arc(const sample_block *b, int lane);
