@@ -126,7 +126,8 @@ def scan_cost() -> None:
         worst = []
         for seed in range(5):
             learner = TD3(TD3Settings(precision="fp32"), OBSERVATION_SIZE, 8, seed=seed)
-            learner.actor.flat.mul_(3.0)  # trained weights are larger than initial ones
+            for parameter in learner.actor.parameters():
+                parameter.data.mul_(3.0)  # trained weights are larger than initial ones
             policy = MLPPolicy(PolicyFile(*learner.policy_arrays()))
             for _ in range(50):
                 obs = rng.uniform(-1, 1, OBSERVATION_SIZE).astype(np.float32)

@@ -29,7 +29,7 @@ from appl_dist.learner.td3 import TD3, Diverged
 
 log = logging.getLogger(__name__)
 
-FORMAT = 2
+FORMAT = 3
 _PATTERN = "checkpoint-*.safetensors"
 
 
@@ -89,7 +89,7 @@ class Checkpoints:
             self.reserve(learner)
         tensors, numbers = learner.state()
         for name, tensor in tensors.items():
-            self._buffers[name].copy_(tensor)
+            self._buffers[name].copy_(tensor.detach())
         header = json.dumps(
             {
                 "format": FORMAT,

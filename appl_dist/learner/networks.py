@@ -1,120 +1,83 @@
-"""Multilayer perceptrons for TD3: one flat float32 vector each, and twins evaluated as one.
+"""The policy and the two critics of TD3 as torch modules.
 
-All parameters of a network are views of one flat vector, so Adam, Polyak averaging, norms and checkpoints are
-single operations on it. With bfloat16 the hidden layers compute from a cast copy; the output layer, whose rounding
-would show in Q-values and actions, and everything that accumulates (parameters, Adam's moments, targets) stay float32.
-
-The backward pass is written out (a chain of matrix products, tested against autograd): gradients go straight
-into the optimiser's vectors, and the actor's loss is differentiated by the action alone, not by 729
-observation entries and the critic's weights. Memory and operations of a pass are prepared once (passes.py).
+Parameters are float32. With `bf16` the hidden layers run under autocast in bfloat16; the output layer, whose rounding
+would show in Q-values and actions, always computes in float32.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from contextlib import nullcontext
 
 import torch
-from torch import Tensor
-
-from appl_dist.learner.passes import Layer, Pass
-from appl_dist.learner.workers import Workers
+from torch import Tensor, nn
+from torch.nn import functional
 
 
-class Part(NamedTuple):
-    """A stretch of a network's parameters that computes in one type."""
+class MLP(nn.Module):
+    """ReLU layers of widths `sizes` (input first, output last), initialised as torch.nn.Linear is.
 
-    master: Tensor  # (n,) float32, a view of `flat`
-    grad: Tensor  # (n,) of the type it computes in
-    copy: Tensor | None  # (n,) `master` in that type; None where that is float32
-
-
-class FlatMLP:
-    """`heads` ReLU networks with layer widths `sizes` (input first), initialised like torch.nn.Linear.
-
-    `flat` (P,) float32 owns the numbers. `parts` are the hidden layers and the output layer with their
-    gradients: what an optimiser steps through. After changing `flat` in another way call `refresh`.
-    `normalise` puts a layer normalisation (Ba et al., 2016; no gains) before every ReLU.
+    layer_norm: normalise before every ReLU (Ba et al., 2016; without gains).
     """
 
-    def __init__(
-        self,
-        sizes: Sequence[int],
-        heads: int,
-        generator: torch.Generator,
-        device: torch.device,
-        dtype: torch.dtype,
-        normalise: bool = False,
-        workers: Workers | None = None,
-    ) -> None:
-        self.sizes, self.heads, self.normalise = tuple(sizes), heads, normalise
-        self._workers = Workers() if workers is None else workers
-        counts = [heads * (i + 1) * o for i, o in zip(self.sizes[:-1], self.sizes[1:], strict=True)]
-        self.flat = torch.zeros(sum(counts), device=device)
-        hidden, last = self.flat.split([sum(counts[:-1]), counts[-1]])
-        copy = None if dtype == torch.float32 else hidden.to(dtype)
-        self.parts = (
-            Part(hidden, torch.zeros_like(hidden, dtype=dtype), copy),
-            Part(last, torch.zeros_like(last), None),
-        )
-        self.master = self._layers(hidden, last)
-        self.layers = self._layers(hidden if copy is None else copy, last)
-        self.gradients = self._layers(*(part.grad for part in self.parts))
-        self._passes: dict[tuple[int, int], Pass] = {}  # by heads and batch size
-        self.reset(generator)
+    def __init__(self, sizes: Sequence[int], *, bf16: bool, layer_norm: bool = False) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(nn.Linear(i, o) for i, o in itertools.pairwise(sizes))
+        self.bf16, self.layer_norm = bf16, layer_norm
 
-    def reset(self, generator: torch.Generator) -> None:
-        """Draw all parameters afresh."""
-        for layer in self.master:
-            bound = layer.weight.shape[1] ** -0.5
-            for tensor in layer:
-                drawn = torch.rand(tensor.shape, generator=generator)  # on the CPU: the same for any device
-                tensor.copy_((2.0 * drawn - 1.0) * bound)
-        self.refresh()
+    def linears(self) -> list[nn.Linear]:
+        """The layers, input to output."""
+        return [layer for layer in self.layers if isinstance(layer, nn.Linear)]
 
-    def refresh(self) -> None:
-        """Bring the cast copy up to date with `flat`."""
-        for part in self.parts:
-            if part.copy is not None:
-                part.copy.copy_(part.master)
+    def forward(self, *inputs: Tensor) -> Tensor:
+        """(b, out) float32 of inputs (b, k) side by side.
 
-    def gradient_norm(self) -> Tensor:
-        """The 2-norm of the whole gradient, 0-d."""
-        return torch.stack([part.grad.float().norm() for part in self.parts]).norm()
-
-    def _layers(self, hidden: Tensor, last: Tensor) -> list[Layer]:
-        """The layers as views of two vectors that hold them one after the other."""
-        views = []
-        at = 0
-        for number, (i, o) in enumerate(zip(self.sizes[:-1], self.sizes[1:], strict=True)):
-            flat, at = (last, 0) if number == len(self.sizes) - 2 else (hidden, at)
-            middle, end = at + self.heads * i * o, at + self.heads * (i + 1) * o
-            views.append(Layer(flat[at:middle].view(self.heads, i, o), flat[middle:end].view(self.heads, 1, o)))
-            at = end
-        return views
-
-    def forward(self, *columns: Tensor, heads: int | None = None) -> Pass:
-        """Evaluate the first `heads` networks (all by default) on inputs (b, in), given in one piece or side by side.
-
-        The pass holds until the next one of as many heads and inputs.
+        The first layer's weights are cut rather than the inputs joined: a gradient by one of several inputs, as the
+        policy's by the action, then costs nothing for the others, 720 beams among them.
         """
-        h, b = self.heads if heads is None else heads, len(columns[0])
-        if (h, b) not in self._passes:
-            layers, gradients = ([Layer(w[:h], c[:h]) for w, c in of] for of in (self.layers, self.gradients))
-            self._passes[h, b] = Pass(layers, gradients, b, self.normalise, self._workers)
-        done = self._passes[h, b]
-        done.read(columns)
-        done.ahead()
-        return done
+        first, *others, output = self.linears()
+        with torch.autocast(inputs[0].device.type, torch.bfloat16) if self.bf16 else nullcontext():
+            weights = first.weight.split([x.shape[1] for x in inputs], 1)
+            x = functional.linear(inputs[0], weights[0], first.bias)
+            for more, weight in zip(inputs[1:], weights[1:], strict=True):
+                x = x + functional.linear(more, weight)
+            x = self._activate(x)
+            for layer in others:
+                x = self._activate(layer(x))
+        value: Tensor = output(x.float())
+        return value
 
-    def backward(self, done: Pass, gradient: Tensor) -> None:
-        """Fill the gradients of a loss whose gradient by the output is `gradient` (heads, b, out) float32."""
-        done.slope.copy_(gradient)
-        done.down()
+    def _activate(self, x: Tensor) -> Tensor:
+        return functional.layer_norm(x, x.shape[-1:]).relu() if self.layer_norm else x.relu()
 
-    def input_gradient(self, done: Pass, gradient: Tensor, columns: int) -> Tensor:
-        """(b, columns) float32: the loss's gradient by the last `columns` inputs; leaves `gradients` alone."""
-        done.slope.copy_(gradient)
-        slope = done.to_inputs()
-        weight = self.layers[0].weight[: len(slope), -columns:]
-        return torch.bmm(slope, weight.transpose(1, 2)).float().sum(0)
+
+class Actor(nn.Module):
+    """The deterministic policy: observations (b, obs) to actions (b, act) in [-1, 1]."""
+
+    def __init__(self, sizes: Sequence[int], *, bf16: bool) -> None:
+        super().__init__()
+        self.mlp = MLP(sizes, bf16=bf16)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        action: Tensor = self.mlp(observation).tanh()
+        return action
+
+
+class TwinCritic(nn.Module):
+    """Two independent critics Q1 and Q2 of observations (b, obs) and actions (b, act)."""
+
+    def __init__(self, sizes: Sequence[int], *, bf16: bool, layer_norm: bool) -> None:
+        super().__init__()
+        self.q1 = MLP(sizes, bf16=bf16, layer_norm=layer_norm)
+        self.q2 = MLP(sizes, bf16=bf16, layer_norm=layer_norm)
+
+    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(2, b) both values."""
+        x = torch.cat((observation, action), 1)
+        return torch.cat((self.q1(x), self.q2(x)), 1).t()
+
+    def first(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(b,) the value of Q1 alone, which the policy climbs."""
+        value: Tensor = self.q1(observation, action)
+        return value[:, 0]

@@ -3,14 +3,12 @@
 
 namespace nb = nanobind;
 
-void bind_learner(nb::module_ &m);
 void bind_loop(nb::module_ &m);
 void bind_planner(nb::module_ &m);
 void bind_sim(nb::module_ &m);
 
 NB_MODULE(_native, m) {
-    m.doc() = "C core of appl_dist: planner kernels, lidar, tyre model, their loop and optimiser steps.";
-    bind_learner(m);
+    m.doc() = "C core of appl_dist: planner kernels, lidar, tyre model and the loop of both.";
     bind_loop(m);
     bind_planner(m);
     bind_sim(m);
