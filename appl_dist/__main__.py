@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 from collections.abc import Callable
 
 from appl_dist.errors import UserError
+from appl_dist.terminal import start_logging
 
 ROLES = {
     "train": "run a learner and its actors on this machine, then evaluate the policy",
@@ -34,10 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     role, rest = arguments[0], arguments[1:]
     # One process is one core's worth of work; numpy reads this when it is first imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    logging.basicConfig(
-        level=logging.WARNING, format=f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S"
-    )
-    logging.getLogger("appl_dist").setLevel(logging.INFO)
+    start_logging(role)
     try:
         if role not in ROLES:
             raise UserError(f"role {role!r}: expected one of {', '.join(ROLES)}")

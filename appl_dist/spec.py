@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 
-WIRE_VERSION = 1  # raised whenever a layout below or a wire header changes
+WIRE_VERSION = 2  # raised whenever a layout below or a wire header changes
 
 LIDAR_BEAMS = 720
 LIDAR_CLIP_M = 2.0  # observation clips ranges here (APPL journal, Sec. V-D)

@@ -75,7 +75,7 @@ class Trial:
         for episode in itertools.count():
             rollout = collect(self.env, self._explore, seed=1000 * self.seed + episode)
             assert rollout is not None
-            returns.append(rollout.info["return"])
+            returns.append(rollout.info["return_"])
             self.replay.insert(rollout, "trial", episode)
             self._learn(len(rollout))
             done = self.replay.transitions_total / self.transitions
@@ -122,7 +122,7 @@ class Trial:
         return {
             "time_s": float(np.mean(times)),
             "success": float(np.mean([i["success"] for i in infos])),
-            "return": float(np.mean([i["return"] for i in infos])),
+            "return": float(np.mean([i["return_"] for i in infos])),
         }
 
 

@@ -38,6 +38,7 @@ from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, fetch_run
 from appl_dist.wire.liveness import Presence
 from appl_dist.wire.session import open_session
+from appl_dist.wire.status import Progress
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
 from appl_dist.wire.wire_settings import WireSettings
@@ -68,7 +69,7 @@ def actor(address: str, folder: Path, seed: int, rate_hz: float) -> None:
         due = time.monotonic()
         while control.state() == "run":
             spool.put(encode_rollout(episode(explorer, rng)))
-            presence.beat({"transitions": spool.produced, "pending": len(spool)})
+            presence.beat(Progress(transitions=spool.produced, pending=len(spool)))
             due += STEPS / rate_hz
             time.sleep(max(0.0, due - time.monotonic()))
         uploader.close(5.0)
@@ -84,7 +85,7 @@ def episode(explorer: Explorer, rng: np.random.Generator) -> Rollout:
     misses = actions - 0.8 * observations[:-1, PARAMETERS]
     rewards = (1.0 - (misses**2).mean(1)).astype(np.float32)
     info = {
-        "world": 0, "ended": True, "success": True, "time_s": 0.0, "return": float(rewards.sum()),
+        "world": 0, "ended": True, "success": True, "time_s": 0.0, "return_": float(rewards.sum()),
         "policy_epoch": max(epoch, 0), "policy_version": max(version, 0),
     }  # fmt: skip
     return Rollout(observations, actions, rewards, True, info)

@@ -32,6 +32,7 @@ from appl_dist.wire.codec import (
 )
 from appl_dist.wire.liveness import Presence, Roster
 from appl_dist.wire.session import Session, open_session
+from appl_dist.wire.status import Progress
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
 from appl_dist.wire.wire_settings import WireSettings
@@ -175,7 +176,7 @@ def fleet_process(index: int, results: Queue[Any], address: str, count: int, dur
     for turn in range(round(duration_s * count / 5.0)):
         time.sleep(max(0.0, began + turn * 5.0 / count - time.perf_counter()))
         name, session, _, presence = actors[turn % count]
-        presence.beat({"transitions": turn})
+        presence.beat(Progress(transitions=turn))
         asked = time.perf_counter()
         ack = ask(session, name, turn // count, blob)
         latencies_s.append(time.perf_counter() - asked)

@@ -10,7 +10,7 @@ import time
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from appl_dist.errors import UserError
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import FloatArray
 from appl_dist.wire.codec import encode_rollout
+from appl_dist.wire.status import Progress
 
 log = logging.getLogger(__name__)
 
@@ -101,19 +102,19 @@ def act(
     *,
     seed: int,
     stop: Callable[[], bool],
-    beat: Callable[[dict[str, Any]], object],
+    beat: Callable[[Progress], object],
     hold: Callable[[], bool] = lambda: False,
 ) -> int:
     """Run episodes into `sink` until `stop()`; returns how many transitions were made.
 
-    stop: asked before every decision. beat: told before every decision how far the actor is.
+    stop: asked before every decision. beat: called before every decision with how far the actor is.
     hold: asked before every episode; true while the learner wants no more for now.
     """
     made = decisions = 0
     world = -1  # none: held back
 
     def tell() -> None:
-        beat({"world": world, "policy_version": explorer.version, "transitions": decisions, "pending": len(sink)})
+        beat(Progress(world, explorer.version, decisions, len(sink)))
 
     def choose(observation: FloatArray) -> FloatArray:
         nonlocal decisions

@@ -148,5 +148,5 @@ def _episode_info(info: dict[str, Any], return_: float, *, ended: bool, seed: in
         "distance_m": float(info["distance_m"]),
         "min_clearance_m": float(info["min_clearance_m"]),
         "recoveries": int(info["recoveries"]),
-        "return": return_,
+        "return_": return_,
     }

@@ -25,6 +25,8 @@ from appl_dist.launch.environment import EVALUATION, environment_arguments, worl
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, ControlServer
 from appl_dist.wire.liveness import Presence, Roster
+from appl_dist.wire.status import Progress
+from appl_dist.wire.typed import MAX_TEXT
 from appl_dist.wire.work import WorkClient, WorkServer
 
 log = logging.getLogger(__name__)
@@ -88,7 +90,7 @@ def drive_trials(bus: Bus, run_id: str, served: dict[str, Any], worker: str, sto
                 job = Job(**work.what)
                 if courses.get(job.world) != job.course:
                     raise UserError(f"world {job.world} is not the evaluator's; give every machine the same world.path")
-                presence.beat({"world": job.world, "transitions": driven, "host": socket.gethostname()})
+                presence.beat(Progress(world=job.world, transitions=driven, host=socket.gethostname()[:MAX_TEXT]))
                 trial = drive(job)
                 driven += 1
                 work = client.next((work, asdict(trial)))

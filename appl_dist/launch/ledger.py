@@ -14,11 +14,13 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from appl_dist.actor.produced_log import FILE, Produced, read_produced
 from appl_dist.arguments import ArgumentParser
 from appl_dist.errors import UserError
 from appl_dist.learner.replay import Replay
+from appl_dist.terminal import printable
 from appl_dist.wire import receipt
 
 
@@ -136,8 +138,9 @@ def main(arguments: list[str], console: Console) -> int:
         table.add_column(column, justify="left" if column == "actor" else "right")
     for actor, a in ledger.accounts.items():
         table.add_row(
-            actor, *(f"{n:,}" for n in (a.rollouts, a.sent, a.stored + a.unknown, a.waiting, a.lost, a.duplicate))
+            Text(printable(actor)),
+            *(f"{n:,}" for n in (a.rollouts, a.sent, a.stored + a.unknown, a.waiting, a.lost, a.duplicate)),
         )
     console.print(table)
-    console.print(ledger.sentence(), highlight=False, soft_wrap=True)
+    console.print(ledger.sentence(), highlight=False, markup=False, soft_wrap=True)
     return 0 if ledger.agrees else 1

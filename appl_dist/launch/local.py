@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.live import Live
@@ -22,8 +21,9 @@ from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import USER_ERROR, Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, open_spool, stop_event
 from appl_dist.launch.runs import prepare
-from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
+from appl_dist.wire.status import RunStatus
 
 log = logging.getLogger(__name__)
 
@@ -38,9 +38,9 @@ def train(settings: Settings) -> int:
     settings, folder = prepare(settings)
     console = view.make_console()
     finished = _serial(settings) if settings.serial else _processes(settings, folder, console)
-    console.print(run_ledger(folder).sentence(), highlight=False, soft_wrap=True)
+    console.print(run_ledger(folder).sentence(), highlight=False, markup=False, soft_wrap=True)
     if not finished:
-        console.print(f"stopped; continue with: appl-dist train run.resume={folder}", highlight=False)
+        console.print(f"stopped; continue with: appl-dist train run.resume={folder}", highlight=False, markup=False)
         return 0
     _evaluate(settings, folder, console)
     return 0
@@ -80,7 +80,7 @@ def _watch(
     """Show the run and restart what dies, until the learner ends (True) or `stop()` (False)."""
     from appl_dist.wire.session import open_session
 
-    status: dict[str, Any] | None = None
+    status: RunStatus | None = None
     session = run_id = None
     notes: list[str] = []
     next_line = 0.0
@@ -105,7 +105,7 @@ def _watch(
                     session = open_session(replace(settings.wire, timeout_s=CONNECT_S), False, VIEWER)
                 if run_id is None:
                     run_id, _ = fetch_run(session, 1.0)
-                status = fetch_status(session, run_id, 2.0)
+                status = fetch_run_status(session, run_id, 2.0)
             except UserError:
                 continue  # starting, or restarting
             if live:

@@ -29,6 +29,7 @@ from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
 from appl_dist.wire.credentials import ACTOR, find
 from appl_dist.wire.liveness import Presence
+from appl_dist.wire.typed import MAX_TEXT
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
 
@@ -212,7 +213,7 @@ def act_in_run(
     control = ControlClient(bus, run_id)
     weights = WeightsSubscriber(bus, run_id)
     presence = Presence(bus, run_id, "actor", actor_id)
-    host = socket.gethostname()
+    host = socket.gethostname()[:MAX_TEXT]
     patience = Patience(lambda: control.learner_present, 60.0 * settings.actor.patience_min)
     try:
         uploader.start(LEARNER_AWAY_S, stop)
@@ -224,7 +225,7 @@ def act_in_run(
             spool,
             seed=seed,
             stop=lambda: stop() or control.state() == "stop" or patience.is_over(),
-            beat=lambda progress: presence.beat({**progress, "host": host}),
+            beat=lambda progress: presence.beat(replace(progress, host=host)),
             hold=lambda: between_episodes() or (uploader.held and len(spool) >= HELD_ROLLOUTS),
         )
         if not uploader.close(DRAIN_S):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import socket
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from appl_dist.config import Settings
 from appl_dist.errors import UserError
 from appl_dist.launch import view
 from appl_dist.launch.runs import require_run, whereabouts
-from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
+from appl_dist.wire.status import RunStatus
 
 ANSWER_S = 5.0
 SILENT_S = 60.0  # a learner or an actor that has not moved for so long is not well
@@ -36,19 +36,17 @@ def status(settings: Settings, here: bool = False) -> int:
         run_id, _ = fetch_run(session, ANSWER_S)
         if settings.actor.run:
             require_run(Path(settings.actor.run), run_id)
-        answer = fetch_status(session, run_id, ANSWER_S)
-    if "error" in answer:
-        raise UserError(f"the learner cannot tell its status: {answer['error']}")
+        answer = fetch_run_status(session, run_id, ANSWER_S)
     check(answer, socket.gethostname() if here else "")
     console = view.make_console()
     console.print(view.render(answer, []))
     return 0
 
 
-def check(answer: dict[str, Any], host: str = "") -> None:
+def check(status: RunStatus, host: str = "") -> None:
     """UserError if the learner hangs, or if no actor on `host` ("": any or none) has been heard of lately."""
-    if answer["age_s"] > SILENT_S:
-        raise UserError(f"the learner of {answer['run_id']} answers, but has not moved for {answer['age_s']:.0f} s")
-    lively = [a for a in answer["actors"] if a["silent_s"] <= SILENT_S]
-    if host and not any(a["host"] == host for a in lively):
+    if status.age_s > SILENT_S:
+        raise UserError(f"the learner of {status.run_id} answers, but has not moved for {status.age_s:.0f} s")
+    lively = [actor for actor in status.actors if actor.silent_s <= SILENT_S]
+    if host and not any(actor.host == host for actor in lively):
         raise UserError(f"no actor on {host} was heard of in the last {SILENT_S:.0f} s; {len(lively)} are elsewhere")

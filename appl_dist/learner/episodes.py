@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from typing import Any
@@ -10,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from appl_dist.spec import Rollout
+from appl_dist.wire.status import EpisodeInfo
+from appl_dist.wire.typed import decode
 
 WINDOW = 200  # episodes
 STALE_VERSIONS = 60  # about a minute, at one policy a second
@@ -36,30 +37,27 @@ class EpisodeStatistics:
         self.current = (0, 0)
 
     def add(self, rollout: Rollout) -> None:
-        """Take an arrived rollout; one that was cut short counts for staleness only.
+        """Count an arrived rollout; one that was cut short counts for staleness only.
 
-        ValueError: its info lacks something or holds what cannot be; nothing was counted.
+        ValueError: its info lacks a field or holds a wrong value; nothing was counted.
         """
-        try:
-            ended, episode, (epoch, version) = _read(rollout.info)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"info: {error!r:.200}") from None
+        known = EpisodeInfo.__dataclass_fields__
+        episode = decode(EpisodeInfo, {name: value for name, value in rollout.info.items() if name in known})
         now_epoch, now_version = self.current
-        behind = max(0, now_version - version)
+        behind = max(0, now_version - episode.policy_version)
         with self._lock:
-            self._ages.append((len(rollout), behind > STALE_VERSIONS or epoch < now_epoch))
-            if not ended:
+            self._ages.append((len(rollout), behind > STALE_VERSIONS or episode.policy_epoch < now_epoch))
+            if not episode.ended:
                 return
-            world, success, time_s, return_ = episode
-            time_s = time_s if success else self._failed_time_s
+            time_s = episode.time_s if episode.success else self._failed_time_s
             self.episodes += 1
-            self._recent.append((success, time_s, return_, behind))
-            if world in self._worlds or len(self._worlds) < MAX_WORLDS:
-                n, wins, total = self._worlds.get(world, (0, 0, 0.0))
-                self._worlds[world] = (n + 1, wins + success, total + time_s)
+            self._recent.append((episode.success, time_s, episode.return_, behind))
+            if episode.world in self._worlds or len(self._worlds) < MAX_WORLDS:
+                n, wins, total = self._worlds.get(episode.world, (0, 0, 0.0))
+                self._worlds[episode.world] = (n + 1, wins + episode.success, total + time_s)
 
     def figures(self) -> dict[str, Any]:
-        """episodes, success (share), time_s, return, staleness (policy versions), stale_share (of transitions).
+        """episodes, success (share), time_s, return_, staleness (policy versions), stale_share (of transitions).
 
         None before any episode.
         """
@@ -68,14 +66,14 @@ class EpisodeStatistics:
             episodes = self.episodes
         share = sum(n for n, stale in ages if stale) / max(sum(n for n, _ in ages), 1)
         if not recent:
-            none: dict[str, Any] = dict.fromkeys(("success", "time_s", "return"))
+            none: dict[str, Any] = dict.fromkeys(("success", "time_s", "return_"))
             return {"episodes": 0, **none, "staleness": 0.0, "stale_share": share}
         success, time_s, return_, staleness = (float(np.mean(column)) for column in zip(*recent, strict=True))
         return {
             "episodes": episodes,
             "success": success,
             "time_s": time_s,
-            "return": return_,
+            "return_": return_,
             "staleness": staleness,
             "stale_share": share,
         }
@@ -84,12 +82,3 @@ class EpisodeStatistics:
         """Per world: episodes, success (share), mean time_s."""
         with self._lock:
             return {w: (n, wins / n, total / n) for w, (n, wins, total) in self._worlds.items()}
-
-
-def _read(info: dict[str, Any]) -> tuple[bool, tuple[int, bool, float, float], tuple[int, int]]:
-    """(ended, (world, success, time_s, return), (policy epoch, version)) of a rollout's info, checked."""
-    numbers = [float(info["time_s"]), float(info["return"])]
-    if not all(math.isfinite(number) for number in numbers):
-        raise ValueError(f"time_s, return: got {numbers}; expected finite numbers")
-    policy = int(info["policy_epoch"]), int(info["policy_version"])
-    return bool(info["ended"]), (int(info["world"]), bool(info["success"]), numbers[0], numbers[1]), policy

@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from appl_dist.learner.replay import Replay
 from appl_dist.learner.run_info import Run
 from appl_dist.learner.settings import LearnerSettings
 from appl_dist.learner.td3 import TD3, Diverged, read
-from appl_dist.learner.telemetry import Report
+from appl_dist.learner.telemetry import Telemetry
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import OBSERVATION_SIZE, Rollout
 from appl_dist.wire.bus import Bus
@@ -73,9 +74,13 @@ class Learner:
         self._publish()
         self.roster = Roster(bus, run.run_id)
         self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
-        self.report = Report(run, self.td3, self.replay, self.statistics, self.roster, self.server, self._elapsed_s)
-        self.report.renew(self.version)
-        self.control = ControlServer(bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=self.report.told)
+        self.telemetry = Telemetry(
+            run, self.td3, self.replay, self.statistics, self.roster, self.server, self._elapsed_s
+        )
+        self.telemetry.renew(self.version)
+        self.control = ControlServer(
+            bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=lambda: asdict(self.telemetry.status())
+        )
 
     def run(self, stop: Callable[[], bool], leave: Callable[[], bool] = lambda: False) -> None:
         """Train until the run's transitions or minutes are reached, or `stop()`; then stop all actors.
@@ -101,7 +106,7 @@ class Learner:
             if may_learn:
                 self._update()
             self._publishing.run(self._publish)
-            self._reporting.run(lambda: self.report.write(self.version))
+            self._reporting.run(lambda: self.telemetry.write(self.version))
             self._saving.run(self.save)
         return may_learn
 
@@ -121,7 +126,7 @@ class Learner:
         with self._told_of_divergence():
             self.save()
             self.checkpoints.wait()
-        self.report.write(self.version)
+        self.telemetry.write(self.version)
         counts, refused = self.server.counts, self.server.refused()
         log.info(
             "ended at %d transitions, %d updates; this process stored %d rollouts, answered %d repeats, refused %d%s",
@@ -133,7 +138,7 @@ class Learner:
         """Write a checkpoint in the background and the newest policy; training goes on meanwhile."""
         self.checkpoints.save(self.td3, self.rng, self._counts())
         self._policy().save(self.run_info.folder / POLICY_FILE)
-        self.report.write_worlds()
+        self.telemetry.write_worlds()
 
     @contextmanager
     def _told_of_divergence(self) -> Iterator[None]:
@@ -153,7 +158,7 @@ class Learner:
             self.publisher,
             self.roster,
             self.checkpoints,
-            self.report,
+            self.telemetry,
             self.replay,
         ):
             part.close()
@@ -199,7 +204,7 @@ class Learner:
         if batch.rows is not None:
             self.replay.prioritise(batch.rows, self.td3.errors.cpu().numpy())
         if detail:
-            self.report.learned(read(metrics))
+            self.telemetry.learned(read(metrics))
 
     def _policy(self) -> PolicyFile:
         weights, biases = self.td3.policy_arrays()
@@ -241,10 +246,11 @@ def _number(file: Path | None, found: Any, name: str) -> float:
 
 
 class _Sink:
-    """Ingest, with the episode figures told of every rollout that was stored."""
+    """Ingest, followed by the episode's figures."""
 
     def __init__(self, ingest: Ingest, learner: Learner) -> None:
         self._ingest, self._learner = ingest, learner
+        self._warned: set[str] = set()
 
     def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
         ack = self._ingest.store(header, rollout)
@@ -252,7 +258,9 @@ class _Sink:
             try:
                 self._learner.statistics.add(rollout)
             except ValueError as error:  # its transitions are good: only the figures go without it
-                log.warning("actor %s: an episode without usable figures: %s", header.actor, error)
+                if header.actor not in self._warned:
+                    self._warned.add(header.actor)
+                    log.warning("actor %s sends episodes without usable figures: %s", header.actor, error)
         return ack
 
     def expected_seq(self, actor_id: str) -> int:

@@ -1,10 +1,10 @@
-"""What is told of a run while it trains: the status that views ask for, metrics.jsonl and TensorBoard."""
+"""Telemetry of a training run: the status that views ask for, metrics.jsonl and TensorBoard."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import replace
 
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.metrics_writer import MetricsWriter
@@ -12,13 +12,14 @@ from appl_dist.learner.replay import Replay
 from appl_dist.learner.run_info import Run
 from appl_dist.learner.td3 import TD3
 from appl_dist.wire.liveness import Member, Roster
+from appl_dist.wire.status import ActorStatus, Progress, RunStatus
 from appl_dist.wire.upload import UploadServer
 
 # What of the status goes to TensorBoard and metrics.jsonl, and its name there.
 SCALARS = {
     "success": "episode/success",
     "time_s": "episode/time_s",
-    "return": "episode/return",
+    "return_": "episode/return",
     "episodes": "episode/count",
     "staleness": "policy/staleness",
     "stale_share": "policy/stale_share",
@@ -31,7 +32,10 @@ SCALARS = {
 }
 
 
-class Report:
+NEVER_S = 1e9  # silent since ever: an actor whose first report is still to come
+
+
+class Telemetry:
     """The figures of one learner process. `elapsed_s`: how long the run has trained, earlier processes included."""
 
     def __init__(
@@ -49,7 +53,7 @@ class Report:
         self._metrics = MetricsWriter(run.folder)
         self._rates = _Rates()
         self._learned: dict[str, float] = {}
-        self._status: dict[str, Any] = {}
+        self._status: RunStatus | None = None
 
     def learned(self, numbers: Mapping[str, float]) -> None:
         """Take an update's figures: losses, norms, saturation."""
@@ -57,8 +61,9 @@ class Report:
 
     def write(self, version: int) -> None:
         """Renew the status and append it and the newest figures of learning to the metrics."""
-        self.renew(version)
-        scalars = {SCALARS[k]: float(self._status[k]) for k in SCALARS if self._status[k] is not None}
+        status = self.renew(version)
+        values = {tag: getattr(status, name) for name, tag in SCALARS.items()}
+        scalars = {tag: float(value) for tag, value in values.items() if value is not None}
         self._metrics.write(self._replay.transitions_total, {**scalars, **self._learned})
 
     def write_worlds(self) -> None:
@@ -69,31 +74,36 @@ class Report:
         if scalars:
             self._metrics.write(self._replay.transitions_total, scalars)
 
-    def told(self) -> dict[str, Any]:
+    def status(self) -> RunStatus:
         """The last status, with its age: a learner that hangs still answers, from the wire's thread."""
-        return {**self._status, "age_s": self._elapsed_s() - self._status["elapsed_s"]}
+        status = self._status
+        assert status is not None, "renew() comes first"
+        return replace(status, age_s=max(self._elapsed_s() - status.elapsed_s, 0.0))
 
-    def renew(self, version: int) -> None:
-        """Make the status that of now; `version`: of the newest policy."""
+    def renew(self, version: int) -> RunStatus:
+        """Bring the status up to date; `version`: of the newest policy."""
         transitions, updates = self._replay.transitions_total, self._td3.updates
         self._rates.mark(transitions, updates)
-        actors = [_actor(m) for m in self._roster.members() if m.role == "actor" and m.alive]
-        self._status = {
-            "run_id": self._run.run_id,
-            "run_transitions": self._run.transitions,
-            "transitions": transitions,
-            "updates": updates,
-            "elapsed_s": self._elapsed_s(),
-            "transitions_per_s": self._rates.transitions_per_s,
-            "updates_per_s": self._rates.updates_per_s,
-            "samples_per_insert": updates * self._td3.settings.batch_size / max(transitions, 1),
-            "refused": self._server.refused(),
-            "queue": sum(a["pending"] for a in actors),
-            "version": version,
-            "sigma": self._run.sigma(transitions),
+        actors = tuple(_actor(m) for m in self._roster.members() if m.role == "actor" and m.alive)
+        self._status = RunStatus(
+            run_id=self._run.run_id,
+            run_transitions=self._run.transitions,
+            transitions=transitions,
+            updates=updates,
+            elapsed_s=self._elapsed_s(),
+            age_s=0.0,
+            transitions_per_s=self._rates.transitions_per_s,
+            updates_per_s=self._rates.updates_per_s,
+            samples_per_insert=updates * self._td3.settings.batch_size / max(transitions, 1),
+            queue=sum(a.pending for a in actors),
+            version=version,
+            sigma=self._run.sigma(transitions),
             **self._statistics.figures(),
-            "actors": actors,
-        }
+            refused=self._server.refused(),
+            held_back="",
+            actors=actors,
+        )
+        return self._status
 
     def close(self) -> None:
         """Flush the metrics."""
@@ -108,17 +118,17 @@ class Report:
         }
 
 
-def _actor(member: Member) -> dict[str, Any]:
-    progress = member.progress
-    return {
-        "id": member.member_id,
-        "transitions_per_s": member.rate,
-        "world": progress.get("world", -1),
-        "version": progress.get("policy_version", -1),
-        "pending": progress.get("pending", 0),
-        "silent_s": member.silent_s,
-        "host": str(progress.get("host", "")),
-    }
+def _actor(member: Member) -> ActorStatus:
+    progress = member.progress or Progress()
+    return ActorStatus(
+        id=member.member_id,
+        transitions_per_s=member.rate,
+        world=progress.world,
+        version=progress.policy_version,
+        pending=progress.pending,
+        silent_s=min(member.silent_s, NEVER_S),
+        host=progress.host,
+    )
 
 
 class _Rates:

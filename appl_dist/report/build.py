@@ -74,4 +74,4 @@ def print_tables(report: Report, console: Console) -> None:
     for table in report.tables:
         if table.name in ("score", "mean", "wins"):
             console.print(table.rich())
-    console.print(f"trials, tables and report in {report.folder}", highlight=False)
+    console.print(f"trials, tables and report in {report.folder}", highlight=False, markup=False)

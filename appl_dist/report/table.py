@@ -12,6 +12,9 @@ from typing import Any
 
 from rich import box
 from rich.table import Table as RichTable
+from rich.text import Text
+
+from appl_dist.terminal import printable
 
 Record = dict[str, Any]
 
@@ -39,26 +42,27 @@ class Table:
     records: tuple[Record, ...]
 
     def rich(self) -> RichTable:
-        view = RichTable(title=self.title, caption=self.note, box=box.SIMPLE_HEAD, caption_justify="left")
+        title, note = Text(printable(self.title)), Text(printable(self.note))
+        view = RichTable(title=title, caption=note, box=box.SIMPLE_HEAD, caption_justify="left")
         for c in self.columns:
-            view.add_column(c.heading, justify="left" if c.left else "right")
+            view.add_column(Text(printable(c.heading)), justify="left" if c.left else "right")
         for i, record in enumerate(self.records):
             last = i + 1 < len(self.records) and self.records[i + 1].get("worlds") != record.get("worlds")
-            view.add_row(*(_plain(c.text(record)) for c in self.columns), end_section=last)
+            view.add_row(*(Text(printable(_plain(c.text(record)))) for c in self.columns), end_section=last)
         return view
 
     def markdown(self) -> str:
-        lines = [f"**{self.title}**", "", _row(c.heading for c in self.columns)]
+        lines = [f"**{_md(self.title)}**", "", _row(_md(c.heading) for c in self.columns)]
         lines.append(_row("---" if c.left else "---:" for c in self.columns))
         for record in self.records:
-            lines.append(_row(_bold(c.text(record).replace("|", "\\|"), "**", "**") for c in self.columns))
-        return "\n".join([*lines, "", self.note, ""])
+            lines.append(_row(_marked(c.text(record), _md, "**", "**") for c in self.columns))
+        return "\n".join([*lines, "", _md(self.note), ""])
 
     def latex(self) -> str:
         """A booktabs table."""
         align = "".join("l" if c.left else "r" for c in self.columns)
         head = " & ".join(_tex(c.heading) for c in self.columns)
-        body = [" & ".join(_bold(_tex(c.text(r)), r"\textbf{", "}") for c in self.columns) for r in self.records]
+        body = [" & ".join(_marked(c.text(r), _tex, r"\textbf{", "}") for c in self.columns) for r in self.records]
         return "\n".join(
             [
                 r"\begin{table}\centering",
@@ -78,14 +82,13 @@ class Table:
         def cells(tag: str, texts: Iterable[str]) -> str:
             aligned = zip(self.columns, texts, strict=True)
             return "".join(
-                f"<{tag}{' class=l' if c.left else ''}>{_bold(html.escape(t), '<b>', '</b>')}</{tag}>"
-                for c, t in aligned
+                f"<{tag}{' class=l' if c.left else ''}>{_marked(t, _html, '<b>', '</b>')}</{tag}>" for c, t in aligned
             )
 
         body = "\n".join(f"<tr>{cells('td', (c.text(r) for c in self.columns))}</tr>" for r in self.records)
         return (
-            f"<figure class=table id=table-{self.name}><figcaption><b>{html.escape(self.title)}.</b> "
-            f"{html.escape(self.note)}</figcaption>\n<div class=scroll><table><thead>"
+            f"<figure class=table id=table-{self.name}><figcaption><b>{_html(self.title)}.</b> "
+            f"{_html(self.note)}</figcaption>\n<div class=scroll><table><thead>"
             f"<tr>{cells('th', (c.heading for c in self.columns))}</tr></thead>\n<tbody>{body}</tbody></table></div>"
             "</figure>"
         )
@@ -94,13 +97,15 @@ class Table:
         text = io.StringIO()
         writer = csv.DictWriter(text, list(self.records[0]) if self.records else [], lineterminator="\n")
         writer.writeheader()
-        writer.writerows(self.records)
+        for record in self.records:
+            writer.writerow({k: printable(v) if isinstance(v, str) else v for k, v in record.items()})
         return text.getvalue()
 
 
-_EMPHASIS = re.compile(r"^\*(.*)\*$")
+_EMPHASIS = re.compile(r"\*(.*)\*", re.DOTALL)
 _TEX = {c: "\\" + c for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
+    "[": "{[}",  # at the start of a row it would be an option of the row before
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     "−": "$-$",
@@ -111,16 +116,28 @@ _TEX = {c: "\\" + c for c in "&%$#_{}"} | {
 }
 
 
-def _bold(text: str, before: str, after: str) -> str:
-    return _EMPHASIS.sub(lambda m: f"{before}{m[1]}{after}", text)
+def _marked(text: str, escape: Callable[[str], str], before: str, after: str) -> str:
+    """`text` escaped for the form; a text in `*…*` goes between `before` and `after` instead of the stars."""
+    found = _EMPHASIS.fullmatch(text)
+    return f"{before}{escape(found[1])}{after}" if found else escape(text)
 
 
 def _plain(text: str) -> str:
-    return _bold(text, "", "")
+    return _marked(text, str, "", "")
+
+
+def _md(text: str) -> str:
+    for old, new in (("\\", "\\\\"), ("|", "\\|"), ("*", "\\*"), ("`", "\\`"), ("](", "]\\("), ("<", "&lt;")):
+        text = text.replace(old, new)
+    return printable(text)
+
+
+def _html(text: str) -> str:
+    return html.escape(printable(text))
 
 
 def _tex(text: str) -> str:
-    return "".join(_TEX.get(c, c) for c in text)
+    return "".join(_TEX.get(c, c) for c in printable(text))
 
 
 def _row(cells: Iterable[str]) -> str:

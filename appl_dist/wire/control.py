@@ -21,6 +21,8 @@ from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message, Query
 from appl_dist.wire.codec import MAX_HEADER_BYTES, StateHeader, decode_header, encode_header, pack, unpack_map
 from appl_dist.wire.polling import LearnerPoll
+from appl_dist.wire.status import RunStatus
+from appl_dist.wire.typed import decode
 
 log = logging.getLogger(__name__)
 
@@ -169,6 +171,17 @@ def fetch_status(bus: Bus, run_id: str, timeout_s: float = 5.0) -> dict[str, Any
     if not isinstance(status, dict):
         raise UserError("the learner's status cannot be read")
     return status
+
+
+def fetch_run_status(bus: Bus, run_id: str, timeout_s: float = 5.0) -> RunStatus:
+    """The status of a learner, checked; UserError when it does not answer or what it says cannot be."""
+    status = fetch_status(bus, run_id, timeout_s)
+    if set(status) == {"error"}:
+        raise UserError(f"the learner could not answer: {status['error']!r:.500}")
+    try:
+        return decode(RunStatus, status)
+    except ValueError as error:
+        raise UserError(f"the learner's status cannot be read: {error}") from None
 
 
 def _ask(bus: Bus, key: str, limit: int, timeout_s: float) -> dict[str, Any]:

@@ -12,13 +12,14 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field
 
 from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message
 from appl_dist.wire.codec import pack, unpack_map
+from appl_dist.wire.status import Progress
+from appl_dist.wire.typed import decode
 
 log = logging.getLogger(__name__)
 
@@ -51,8 +52,8 @@ class Presence:
         self._last_s = float("-inf")
         self._token = bus.announce(keys.alive(run_id, role, member_id, bus.identity))
 
-    def beat(self, progress: dict[str, Any]) -> bool:
-        """Report plain msgpack values (world, transitions, policy_version, …); whether they were sent.
+    def beat(self, progress: Progress) -> bool:
+        """Report how far this process is; whether it was sent.
 
         Call it as often as the loop turns: at most one report a `period_s` goes out. Never waits.
         """
@@ -60,9 +61,7 @@ class Presence:
         if now_s - self._last_s < self._period_s:
             return False
         self._last_s = now_s
-        data = pack({"wire": WIRE_VERSION, "incarnation": self._bus.identity, "progress": progress})
-        if len(data) > MAX_PROGRESS_BYTES:
-            raise ValueError(f"progress: takes {len(data)} bytes; allowed up to {MAX_PROGRESS_BYTES}")
+        data = pack({"wire": WIRE_VERSION, "incarnation": self._bus.identity, "progress": asdict(progress)})
         self._bus.put(self._key, data)
         return True
 
@@ -74,7 +73,7 @@ class Presence:
 class Member:
     """One process of a run. `silent_s`: since it was last heard of, s; inf before its first report.
 
-    `rate` is transitions per second between its last two reports, from the progress value `transitions`.
+    `rate` is transitions per second between its last two reports; `progress` is None before the first.
     """
 
     role: str
@@ -83,7 +82,7 @@ class Member:
     alive: bool
     silent_s: float
     rate: float
-    progress: dict[str, Any] = field(default_factory=dict)
+    progress: Progress | None = None
 
 
 @dataclass
@@ -92,7 +91,7 @@ class _Record:
     reporter: str = ""
     heard_s: float = float("-inf")
     rate: float = 0.0
-    progress: dict[str, Any] = field(default_factory=dict)
+    progress: Progress | None = None
 
 
 class Roster:
@@ -119,7 +118,7 @@ class Roster:
                     bool(record.incarnations),
                     now_s - record.heard_s,
                     record.rate,
-                    dict(record.progress),
+                    record.progress,
                 )
                 for (role, member_id), record in sorted(self._records.items())
             ]
@@ -141,6 +140,9 @@ class Roster:
 
     def _seen(self, key: str, present: bool) -> None:
         *_, role, member_id, incarnation = key.split("/")
+        if not all(keys.is_name(name) for name in (role, member_id, incarnation)):
+            self.counts["malformed"] += 1
+            return
         with self._lock:
             record = self._record(role, member_id)
             if record is None:
@@ -156,17 +158,18 @@ class Roster:
             if message.size > MAX_PROGRESS_BYTES:
                 raise ValueError(f"{message.size} bytes; allowed up to {MAX_PROGRESS_BYTES}")
             values = unpack_map(message.payload, MAX_PROGRESS_BYTES)
-            progress, incarnation = values.get("progress"), values.get("incarnation")
+            incarnation = values.get("incarnation")
+            *_, role, member_id = message.key.split("/")
+            keys.check_name("role", role)
+            keys.check_name("member_id", member_id)
             if values.get("wire") != WIRE_VERSION or not keys.is_name(incarnation):
                 raise ValueError(f"wire version {values.get('wire')!r:.40}, incarnation {incarnation!r:.80}")
-            if not isinstance(progress, dict) or not all(isinstance(name, str) for name in progress):
-                raise ValueError("progress: not a map with string keys")
+            progress = decode(Progress, values.get("progress"))
         except ValueError as error:
             self.counts["malformed"] += 1
             if self.counts["malformed"] == 1:
-                log.warning("ignoring progress on %s: %s", message.key, error)
+                log.warning("ignoring progress on %r: %s", message.key, error)
             return
-        *_, role, member_id = message.key.split("/")
         now_s = self._clock()
         with self._lock:
             record = self._record(role, member_id)
@@ -178,9 +181,8 @@ class Roster:
             record.progress = progress
 
 
-def _rate(record: _Record, incarnation: str, progress: dict[str, Any], now_s: float) -> float:
-    """Transitions per second since the last report of the same process, 0 when it cannot be told."""
-    before, after = record.progress.get("transitions"), progress.get("transitions")
-    if record.reporter != incarnation or not isinstance(before, int) or not isinstance(after, int):
+def _rate(record: _Record, incarnation: str, progress: Progress, now_s: float) -> float:
+    """Transitions per second since the last report of the same process; 0 where there is none."""
+    if record.reporter != incarnation or record.progress is None:
         return 0.0
-    return max(after - before, 0) / max(now_s - record.heard_s, 1e-3)
+    return max(progress.transitions - record.progress.transitions, 0) / max(now_s - record.heard_s, 1e-3)

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from appl_dist.spec import Rollout
+from appl_dist.terminal import printable
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Query
 from appl_dist.wire.claims import Claims
@@ -27,6 +28,7 @@ from appl_dist.wire.codec import (
     decode_rollout,
     encode_header,
 )
+from appl_dist.wire.typed import MAX_TEXT
 
 log = logging.getLogger(__name__)
 
@@ -190,6 +192,7 @@ class UploadServer:
 
     def _note(self, sender: str, reason: str) -> None:
         """Count a refusal under its sender; log the first one of each of the first senders."""
+        sender = printable(sender)[:MAX_TEXT]  # a key may hold anything
         with self._changed:
             known = sender in self._refused
             if not known and len(self._refused) >= _COUNTED_SENDERS:

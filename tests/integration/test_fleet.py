@@ -16,7 +16,7 @@ import pytest
 
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.runs import whereabouts
-from appl_dist.wire.control import fetch_run, fetch_status
+from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.session import open_session
 from appl_dist.wire.wire_settings import WireSettings
 from tests.integration.test_train import free_port
@@ -61,7 +61,7 @@ class Fleet:
         endpoint = whereabouts(self.run).endpoint
         with open_session(WireSettings(endpoint, timeout_s=30.0), listen=False) as session:
             run_id, _ = fetch_run(session, 30.0)
-            return [a["id"] for a in fetch_status(session, run_id, 30.0)["actors"] if a["silent_s"] < 60.0]
+            return [a.id for a in fetch_run_status(session, run_id, 30.0).actors if a.silent_s < 60.0]
 
     def transitions(self) -> int:
         return transitions(self.run)

@@ -15,6 +15,7 @@ from appl_dist.actor.spool import Spool
 from appl_dist.errors import UserError
 from appl_dist.launch.make_keys import make_keys
 from appl_dist.learner.ingest import Ingest
+from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import (
     MAX_ROLLOUT_BYTES,
@@ -30,6 +31,7 @@ from appl_dist.wire.codec import (
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run, fetch_status
 from appl_dist.wire.liveness import Presence, Roster
 from appl_dist.wire.session import Session, open_session
+from appl_dist.wire.status import Progress
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
@@ -99,7 +101,7 @@ def test_an_actor_does_its_work_on_every_wire(learner: Learner, tmp_path: Path) 
         learner.publisher.publish(1, 2, b"newer")
         assert weights.wait((1, 1), timeout_s=20.0) == (1, 2, b"newer")
         assert control.learner_present
-        presence.beat({"transitions": 9})
+        presence.beat(Progress(transitions=9))
         assert wait_until(lambda: any(m.alive and m.progress for m in learner.roster.members()))
         learner.control.set_state("stop")
         assert control.wait_stop(20.0)
@@ -153,7 +155,7 @@ FORBIDDEN: dict[str, Callable[[Session], object]] = {
         keys.upload("*", "*"), lambda query: query.reply(encode_header(Ack("stored", 99)))
     ),
     "another run": lambda s: s.serve(
-        keys.RUN, lambda query: query.reply(pack({"wire": 1, "run": "evil", "config": "{}"}))
+        keys.RUN, lambda query: query.reply(pack({"wire": WIRE_VERSION, "run": "evil", "config": "{}"}))
     ),
     "old weights": lambda s: s.serve(
         keys.weights("run1"), lambda query: query.reply(b"x", encode_header(WeightsHeader("run1", 9, 9, 1)))
@@ -196,7 +198,10 @@ def test_an_actor_cannot_speak_for_another_or_listen_to_it(learner: Learner) -> 
         ear.watch(keys.alive("run1", "actor", "*", "*"), lambda key, _: heard.append(key))
         rogue.announce(keys.claim("run1", "a1", rogue.identity))
         rogue.announce(keys.alive("run1", "actor", "a1", rogue.identity))
-        rogue.put(keys.progress("run1", "actor", "a1"), pack({"wire": 1, "incarnation": "x", "progress": {"lie": 1}}))
+        rogue.put(
+            keys.progress("run1", "actor", "a1"),
+            pack({"wire": WIRE_VERSION, "incarnation": "x", "progress": {"lie": 1}}),
+        )
         header = UploadHeader("run1", "a1", rogue.identity, 0, 0, 0, hello=True)
         for key in (keys.upload("run1", "a1"), keys.upload("run1", "*"), "appl/**"):
             assert rogue.get(key, b"", encode_header(header), timeout_s=1.0) is None
@@ -205,10 +210,10 @@ def test_an_actor_cannot_speak_for_another_or_listen_to_it(learner: Learner) -> 
         assert answer is not None  # its own key, with another's name inside
         assert decode_header(Ack, answer.payload).status == "refused"
         presence = Presence(honest, "run1", "actor", "a1")
-        presence.beat({"transitions": 5})
+        presence.beat(Progress(transitions=5))
         assert wait_until(lambda: any(m.progress for m in learner.roster.members()))
         [member] = [m for m in learner.roster.members() if m.member_id == "a1"]
-        assert member.progress == {"transitions": 5}
+        assert member.progress == Progress(transitions=5)
         assert member.incarnation == honest.identity
         header = UploadHeader("run1", "a1", honest.identity, 0, 0, 0, hello=True)
         answer = honest.get(keys.upload("run1", "a1"), b"", encode_header(header))

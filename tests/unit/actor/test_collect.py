@@ -19,6 +19,7 @@ from appl_dist.policy_file import PolicyFile
 from appl_dist.sim.generator import generate_worlds
 from appl_dist.spec import OBSERVATION_SIZE
 from appl_dist.wire.codec import decode_rollout
+from appl_dist.wire.status import Progress
 
 SILENT = ExplorationSettings(sigma_start=0.0, sigma_floor=0.0, uniform_fraction=0.0)
 
@@ -46,9 +47,9 @@ def env() -> Iterator[NavigationEnv]:
 
 def run(env: NavigationEnv, weights: Any, spool: Spool, decisions: int, seed: int = 0) -> int:
     explorer = Explorer(weights, env, SILENT, 1000, np.random.default_rng(seed))
-    beats: list[dict[str, Any]] = []
+    beats: list[Progress] = []
     made = act(env, explorer, spool, seed=seed, stop=lambda: len(beats) >= decisions, beat=beats.append)
-    assert [b["transitions"] for b in beats] == list(range(1, len(beats) + 1))
+    assert [b.transitions for b in beats] == list(range(1, len(beats) + 1))
     return made
 
 
@@ -110,11 +111,11 @@ def test_seeds_differ_between_actors_and_after_a_restart() -> None:
 def test_a_stop_ends_an_actor_whose_spool_is_full_and_keeps_its_episode(env: NavigationEnv, tmp_path: Path) -> None:
     with Spool(tmp_path, "run/actor", 1, 1 << 24) as spool:
         explorer = Explorer(Constant(), env, SILENT, 1000, np.random.default_rng(0))
-        beats: list[dict[str, Any]] = []
+        beats: list[Progress] = []
 
         def stop() -> bool:
-            return bool(beats) and beats[-1]["pending"] == 1 and beats[-1]["world"] == -1
+            return bool(beats) and beats[-1].pending == 1 and beats[-1].world == -1
 
         act(env, explorer, spool, seed=0, stop=stop, beat=beats.append)
         assert len(spool) == 2
-        assert spool.produced == beats[-1]["transitions"]
+        assert spool.produced == beats[-1].transitions

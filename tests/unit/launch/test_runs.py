@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare,
 from appl_dist.launch.status import check
 
 SMALL = ["world.count=6", "evaluation.worlds=0:2"]
+from appl_dist.wire.status import ActorStatus, RunStatus
 
 
 def test_a_resumed_run_keeps_its_configuration_and_its_length(tmp_path: Path) -> None:
@@ -85,12 +87,16 @@ def test_patience_counts_only_an_unbroken_absence() -> None:
 
 
 def test_health_is_more_than_an_answer() -> None:
-    actor = {"id": "actor-0", "host": "here", "silent_s": 1.0}
-    answer = {"run_id": "r", "age_s": 1.0, "actors": [actor]}
+    actor = ActorStatus("actor-0", 1.0, world=3, version=1, pending=0, silent_s=1.0, host="here")
+    answer = RunStatus(
+        run_id="r", run_transitions=100, transitions=10, updates=5, elapsed_s=9.0, age_s=1.0, transitions_per_s=1.0,
+        updates_per_s=1.0, samples_per_insert=1.0, queue=0, version=1, sigma=0.1, episodes=1, success=None, time_s=None,
+        return_=None, staleness=0.0, stale_share=0.0, refused={}, held_back="", actors=(actor,),
+    )  # fmt: skip
     check(answer)
     check(answer, "here")
     with pytest.raises(UserError, match="has not moved for 61 s"):
-        check({**answer, "age_s": 61.0})
-    for actors in ([], [{**actor, "host": "elsewhere"}], [{**actor, "silent_s": 61.0}]):
+        check(replace(answer, age_s=61.0))
+    for actors in ((), (replace(actor, host="elsewhere"),), (replace(actor, silent_s=61.0),)):
         with pytest.raises(UserError, match="no actor on here"):
-            check({**answer, "actors": actors}, "here")
+            check(replace(answer, actors=actors), "here")

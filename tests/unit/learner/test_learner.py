@@ -39,16 +39,19 @@ def rollout(seed: int, world: int, success: bool) -> Rollout:
         return rng.uniform(-1, 1, shape).astype(np.float32)
 
     info = {
-        "world": world, "ended": True, "success": success, "time_s": 20.0, "return": -3.0, "policy_version": 1,
+        "world": world, "ended": True, "success": success, "time_s": 20.0, "return_": -3.0, "policy_version": 1,
         "policy_epoch": 1,
     }  # fmt: skip
     return Rollout(uniform(11, OBSERVATION_SIZE), uniform(10, 8), uniform(10), True, info)
 
 
+def run_info(folder: Path, seed: int = 0) -> Run:
+    return Run("run", folder, seed, 10**6, 0.0, {}, DWA, 70.0, lambda _: 0.1)
+
+
 @contextmanager
 def learner(folder: Path, seed: int = 0) -> Iterator[Learner]:
-    run = Run("run", folder, seed, 10**6, 0.0, {}, DWA, 70.0, lambda _: 0.1)
-    part = Learner(MemoryHub().connect(), run, SETTINGS)
+    part = Learner(MemoryHub().connect(), run_info(folder, seed), SETTINGS)
     try:
         yield part
     finally:
@@ -68,7 +71,7 @@ def test_every_number_of_the_run_reaches_both_files(tmp_path: Path) -> None:
         give(part)
         for _ in range(4):
             assert part.step()
-        part.report.write(part.version)
+        part.telemetry.write(part.version)
         part.save()
     records = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     found = {name: value for record in records for name, value in record.items()}

@@ -20,6 +20,7 @@ from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run
 from appl_dist.wire.liveness import Presence
 from appl_dist.wire.session import open_session
+from appl_dist.wire.status import Progress
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.wire_settings import WireSettings
@@ -50,7 +51,7 @@ def send(endpoint: str, folder: Path, actor: str, count: int) -> None:
         print("ready", flush=True)
         while spool.next_seq < count and control.state() == "run":
             spool.put(encode_rollout(make_rollout(spool.next_seq, transitions=20)))
-            presence.beat({"transitions": 20 * spool.next_seq})
+            presence.beat(Progress(transitions=20 * spool.next_seq))
         stopped = control.state() == "stop"
         drained = uploader.close(drain_s=30.0)
         control.close()

@@ -1,6 +1,7 @@
 import pytest
 
 from appl_dist.errors import UserError
+from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import StateHeader, encode_header, pack
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run, fetch_status
@@ -66,9 +67,9 @@ def test_a_state_that_cannot_be_read_is_counted_and_ignored(hub, data):
     [
         (b"junk", "cannot be read"),
         (pack({"wire": 99, "run": "run1", "config": "{}"}), "wire version: the learner speaks 99"),
-        (pack({"wire": 1, "run": "a/b", "config": "{}"}), "describes its run as 'a/b'"),
-        (pack({"wire": 1, "run": "run1", "config": "["}), "describes its run"),
-        (pack({"wire": 1, "run": "run1", "config": "[]"}), "describes its run"),
+        (pack({"wire": WIRE_VERSION, "run": "a/b", "config": "{}"}), "describes its run as 'a/b'"),
+        (pack({"wire": WIRE_VERSION, "run": "run1", "config": "["}), "describes its run"),
+        (pack({"wire": WIRE_VERSION, "run": "run1", "config": "[]"}), "describes its run"),
         (bytes(2 << 20), "cannot be read"),
     ],
 )

@@ -1,0 +1,26 @@
+"""What a terminal or a log file gets: text whose control characters, markup and letters can do no harm."""
+
+from __future__ import annotations
+
+import logging
+
+
+def printable(text: str) -> str:
+    """`text` on one line: whatever is not printable as an escape, as in "a\\nb"."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+class OneLine(logging.Formatter):
+    """A record's message may quote what a stranger sent: it stays on its line and cannot move the cursor."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        record.message = printable(record.message)
+        return super().formatMessage(record)
+
+
+def start_logging(role: str) -> None:
+    """Log this process's messages to standard error, ours from INFO on."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine(f"%(asctime)s {role} %(levelname)s %(message)s", datefmt="%H:%M:%S"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.getLogger("appl_dist").setLevel(logging.INFO)
