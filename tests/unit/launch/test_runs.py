@@ -14,9 +14,9 @@ from appl_dist.errors import UserError
 from appl_dist.launch.roles import Patience, open_spool
 from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare, require_run, whereabouts
 from appl_dist.launch.status import check
+from appl_dist.wire.status import ActorStatus, RunStatus
 
 SMALL = ["world.count=6", "evaluation.worlds=0:2"]
-from appl_dist.wire.status import ActorStatus, RunStatus
 
 
 def test_a_resumed_run_keeps_its_configuration_and_its_length(tmp_path: Path) -> None:
