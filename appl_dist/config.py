@@ -25,6 +25,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from appl_dist import overrides
 from appl_dist.actor.exploration import ExplorationSettings
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.actor.reward import RewardSettings
@@ -35,13 +36,22 @@ from appl_dist.learner.settings import LearnerSettings
 from appl_dist.planner.parameters import Arithmetic, PlannerSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings
 from appl_dist.spec import SPACES
-from appl_dist.wire.wire_settings import WireSettings
+from appl_dist.wire.wire_settings import MAX_ACTORS, WireSettings
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 CONFIG_OPTION = "--config="
 CONFIG_FILE = "config.json"  # in a run's folder
-CHANGEABLE = ("run.transitions", "run.minutes", "run.resume", "actors", "serial", "wire", "launch", "evaluation")
+# What a continued run may change: its length, where it runs, and whatever leaves the meaning of its data alone.
+CHANGEABLE = (
+    "run.transitions", "run.minutes", "run.resume", "actors", "serial", "wire", "launch", "evaluation", "actor",
+    *(f"learner.td3.{name}" for name in (
+        "batch_size", "actor_lr", "critic_lr", "polyak", "target_noise", "target_noise_clip", "policy_delay",
+        "precision", "device", "threads")),
+    *(f"learner.{name}" for name in (
+        "samples_per_insert", "samples_tolerance", "publish_every_s", "report_every_s", "checkpoint_every_s",
+        "detail_every")),
+)  # fmt: skip
 _PACKAGE = Path(__file__).resolve().parent
 CONF = next((p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir()), _PACKAGE / "conf")
 
@@ -50,6 +60,7 @@ CONF = next((p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_di
 class RunSettings:
     """folder: "" makes runs/<date>-<time>; resume: an earlier run's folder to continue, with its configuration.
 
+    id: the run's random name on the wire, drawn when its folder is made.
     The run ends at `transitions`, or after `minutes` of wall-clock if that comes first (0: no such limit).
     sync: every rollout is on the disk, not only with the kernel, before it is sent and again before it is acknowledged:
         then a power cut loses none.
@@ -57,6 +68,7 @@ class RunSettings:
 
     folder: str = ""
     resume: str = ""
+    id: str = ""
     seed: int = 0
     transitions: int = 50_000
     minutes: float = 0.0
@@ -155,7 +167,7 @@ class Settings:
         _allowed("run.transitions", self.run.transitions, 1, 10**10)
         _allowed("run.minutes", self.run.minutes, 0, 10**6)
         _allowed("run.seed", self.run.seed, 0, 2**31 - 1)
-        _allowed("actors", self.actors, 0, 10_000)
+        _allowed("actors", self.actors, 0, MAX_ACTORS)
         _allowed("world.count", self.world.count, 1, 100_000)
         _allowed("env.decision_period_s", self.env.decision_period_s, 0.1, 60.0)
         _allowed("actor.spool_rollouts", self.actor.spool_rollouts, 1, 10**6)
@@ -170,60 +182,81 @@ class Settings:
             raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
 
 
-def load(overrides: Sequence[str]) -> Settings:
+def load(arguments: Sequence[str]) -> Settings:
     """Settings of conf/config.yaml with command-line overrides; of a frozen `--config=FILE` with overrides; or, with
     `run.resume=FOLDER`, of that run with those overrides that a continued run may change. Raises UserError.
     """
-    files = [o.removeprefix(CONFIG_OPTION) for o in overrides if o.startswith(CONFIG_OPTION)]
-    rest = [o for o in overrides if not o.startswith(CONFIG_OPTION)]
-    if not files:
-        plain = compose_dict(rest)
-        resume = plain["run"]["resume"]
-        return from_dict(_continued(Path(resume), plain, rest) if resume else plain)
-    try:
-        frozen = json.loads(Path(files[-1]).read_text())
-        return from_dict(OmegaConf.to_container(OmegaConf.merge(frozen, OmegaConf.from_dotlist(rest))))  # type: ignore[arg-type]
-    except OSError as error:
-        raise UserError(f"--config: {files[-1]} cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise UserError(f"--config: {files[-1]} is damaged: {error}") from None
+    files = [o.removeprefix(CONFIG_OPTION) for o in arguments if o.startswith(CONFIG_OPTION)]
+    rest = [o for o in arguments if not o.startswith(CONFIG_OPTION)]
+    if files:
+        return from_dict(_with_overrides(read_frozen(Path(files[-1]), "--config"), rest))
+    plain = compose_dict(rest)
+    resume = plain["run"]["resume"]
+    return load_continued(Path(resume), rest) if resume else from_dict(plain)
 
 
-def _continued(folder: Path, given: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """The configuration frozen in `folder`, with what `overrides` name, and a continued run may change, as `given`."""
-    file = folder / CONFIG_FILE
+def load_continued(folder: Path, arguments: Sequence[str] = ()) -> Settings:
+    """The configuration frozen in a run's folder, changed by `arguments`. UserError: a key that has to stay."""
+    frozen = read_frozen(folder / CONFIG_FILE, "run.resume")
+    frozen["run"]["resume"] = str(folder)
+    given = compose_dict(arguments)
+    for argument in arguments:
+        key = argument.lstrip("~+").partition("=")[0]
+        *groups, last = key.split(".")
+        now, then = given, frozen
+        for group in groups:
+            now, then = now[group], then.setdefault(group, {})
+        value = now.get(last)
+        if any(key == name or key.startswith(f"{name}.") for name in CHANGEABLE):
+            then[last] = value
+        elif value != then.get(last):
+            raise UserError(
+                f"{key}: got {value!r}, the run in {folder} has {then.get(last)!r}; a continued run may change only "
+                f"{', '.join(CHANGEABLE)}; start a new one with learner.init={folder} to change more"
+            )
+    return from_dict(frozen)
+
+
+def read_frozen(file: Path, what: str) -> dict[str, Any]:
+    """The configuration in a JSON file; UserError naming `what` asked for it."""
     try:
         frozen = json.loads(file.read_text())
     except OSError as error:
-        raise UserError(f"run.resume: {file} cannot be read: {error.strerror}") from None
+        raise UserError(f"{what}: {file} cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise UserError(f"run.resume: {file} is damaged: {error}") from None
-    for key in (o.lstrip("~+").partition("=")[0] for o in overrides):
-        if key not in CHANGEABLE and key.partition(".")[0] not in CHANGEABLE:
-            log.warning("%s is ignored: a continued run keeps its configuration, except %s", key, ", ".join(CHANGEABLE))
-            continue
-        *groups, last = key.split(".")
-        source, target = given, frozen
-        for group in groups:
-            source, target = source[group], target.setdefault(group, {})
-        target[last] = source[last]
-    return dict(frozen)
+        raise UserError(f"{what}: {file} is damaged: {error}") from None
+    if not isinstance(frozen, dict) or not isinstance(frozen.get("run"), dict):
+        raise UserError(f"{what}: {file} is damaged: it holds no configuration of a run")
+    return frozen
 
 
-def compose_dict(overrides: Sequence[str]) -> dict[str, Any]:
+def _with_overrides(frozen: dict[str, Any], arguments: Sequence[str]) -> dict[str, Any]:
+    texts, others = overrides.split(arguments, Settings)
+    try:
+        merged = OmegaConf.to_container(OmegaConf.merge(frozen, OmegaConf.from_dotlist(others)))
+    except (OmegaConfBaseException, ValueError) as error:
+        raise UserError(_sentence(error)) from None
+    return _assigned(merged, texts)
+
+
+def _assigned(composed: Any, texts: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    plain: dict[str, Any] = composed
+    for key, text in texts:
+        overrides.assign(plain, key, text, Settings)
+    return plain
+
+
+def compose_dict(arguments: Sequence[str]) -> dict[str, Any]:
     """The composed configuration as plain values: what a run freezes and the learner serves."""
     ConfigStore.instance().store(name="schema", node=_schema(Settings))
-    for override in overrides:
-        if not re.match(r"^[~+]{0,2}[A-Za-z_][\w/.@]*(=|$)", override) or ("=" not in override and override[0] != "~"):
-            raise UserError(f"argument {override!r}: expected key=value, as in run.transitions=50000")
+    texts, others = overrides.split(arguments, Settings)
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
-            node = compose("config", overrides=list(overrides))
+            node = compose("config", overrides=others)
         plain = OmegaConf.to_container(node, resolve=True)
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_sentence(error)) from None
-    assert isinstance(plain, dict)
-    return {str(k): v for k, v in plain.items()}
+    return _assigned(plain, texts)
 
 
 def from_dict(plain: dict[str, Any]) -> Settings:

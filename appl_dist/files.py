@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 from pathlib import Path
 
 from appl_dist.errors import UserError
@@ -30,6 +31,24 @@ def write_atomic(
         with contextlib.suppress(OSError):
             partial.unlink()
         raise UserError(f"{path}: cannot be written ({error.strerror}); {advice}") from None
+
+
+def write_new(path: Path, data: str) -> bool:
+    """Make `path` with `data`, whole and on the disk; False if it exists, which then stays as it is."""
+    partial = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        partial.write_text(data)
+        to_disk(partial)
+        os.link(partial, path)  # fails where the name is taken, whoever was first
+        to_disk(path.parent)
+    except FileExistsError:
+        return False
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror}); choose another folder") from None
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+    return True
 
 
 def to_disk(path: Path) -> None:

@@ -64,7 +64,7 @@ def actor(address: str, folder: Path, seed: int, rate_hz: float) -> None:
         uploader, control = Uploader(session, run_id, "actor-0", spool), ControlClient(session, run_id)
         weights, presence = WeightsSubscriber(session, run_id), Presence(session, run_id, "actor", "actor-0")
         space = cast(NavigationEnv, SimpleNamespace(space=DWA))
-        explorer = Explorer(weights, space, settings.explore, settings.run.transitions, rng)
+        explorer = Explorer(weights, space, settings.explore, rng)
         uploader.start(START_S)
         due = time.monotonic()
         while control.state() == "run":

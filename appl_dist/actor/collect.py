@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import time
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
@@ -52,13 +51,11 @@ class Explorer:
         weights: Weights,
         env: NavigationEnv,
         settings: ExplorationSettings,
-        run_transitions: int,
         rng: np.random.Generator,
     ) -> None:
         self._weights = weights
         self._space = env.space
         self._settings = settings
-        self._run_transitions = run_transitions
         self._rng = rng
         self._held: tuple[int, int] = (-1, -1)
         self._policy: MLPPolicy | None = None
@@ -80,7 +77,7 @@ class Explorer:
             return self._rng.uniform(-1.0, 1.0, len(self._space)).astype(np.float32)
         transitions = self._policy.file.transitions
         action = self._policy.act(observation)
-        return explore(action, self._settings, transitions, self._run_transitions, self._rng)
+        return explore(action, self._settings, transitions, self._rng)
 
     def _refresh(self) -> None:
         newest = self._weights.latest()
@@ -144,9 +141,3 @@ def act(
                 break
         made += len(rollout)
     return made
-
-
-def actor_seed(run_seed: int, actor_id: str, next_seq: int) -> int:
-    """Seed of an actor's life: differs between actors, and after a restart, where `next_seq` has moved on."""
-    sequence = np.random.SeedSequence([run_seed, zlib.crc32(actor_id.encode()), next_seq])
-    return int(sequence.generate_state(1)[0] >> 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import shutil
 import subprocess
 from dataclasses import replace
@@ -12,7 +13,7 @@ from appl_dist.config import Settings
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.launch import slurm
-from appl_dist.launch.runs import prepare, run_folder
+from appl_dist.launch.runs import new_id, prepare, run_folder
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +30,8 @@ def launch(settings: Settings) -> int:
         return train(replace(settings, actors=settings.launch.actors or settings.actors))
     if settings.launch.print_only:
         folder = run_folder(settings).resolve()
-        for name, text in slurm.scripts(settings, folder, Path.cwd()):
+        shown = replace(settings, run=replace(settings.run, id=new_id(folder)))
+        for name, text in slurm.scripts(shown, folder, Path.cwd()):
             print(f"##### {folder / 'slurm' / name}\n{text}")
         return 0
     if shutil.which("sbatch") is None:
@@ -51,8 +53,9 @@ def launch(settings: Settings) -> int:
     learner, actors = submitted
     array = slurm.tasks(settings.launch)
     print(f"learner: job {learner}; actors: job {actors}, an array of {array}; logs in {folder}/logs")
-    print(f"watch: appl-dist status actor.run={folder}")
-    print(f"stop, actors included: scancel {learner}; go on: appl-dist launch launch=slurm … run.resume={folder}")
+    print(f"watch: appl-dist status {shlex.quote(f'actor.run={folder}')}")
+    resume = shlex.quote(f"run.resume={folder}")
+    print(f"stop, actors included: scancel {learner}; continue: appl-dist launch launch=slurm … {resume}")
     return 0
 
 

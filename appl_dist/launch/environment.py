@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.world_split import select_worlds
 from appl_dist.config import Settings
+from appl_dist.errors import UserError
 from appl_dist.planner.parameters import Arithmetic
 from appl_dist.sim.worlds import World
 from appl_dist.spec import SPACES
@@ -30,3 +32,13 @@ def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = No
         "robot": settings.robot,
         "lidar": settings.lidar,
     }
+
+
+def check_environment(settings: Settings) -> None:
+    """Build once what every actor builds. UserError: worlds, planner, robot or timing that cannot be."""
+    worlds_of(settings, settings.evaluation.worlds)
+    worlds = worlds_of(settings, settings.world.train)
+    try:
+        NavigationEnv(worlds[:1], protocol=settings.protocol, **environment_arguments(settings)).close()
+    except (ValueError, OverflowError, MemoryError) as error:
+        raise UserError(str(error) or "planner: the maps do not fit into memory") from None

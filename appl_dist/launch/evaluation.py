@@ -16,6 +16,7 @@ from appl_dist.config import Settings, as_dict, cores
 from appl_dist.evaluate.workers import Crew
 from appl_dist.launch.environment import environment_arguments
 from appl_dist.launch.report_commands import open_env
+from appl_dist.launch.runs import new_id
 from appl_dist.launch.view import make_console
 
 log = logging.getLogger(__name__)
@@ -72,7 +73,7 @@ def _workers(settings: Settings, folder: Path) -> Iterator[int | Crew]:
 
     with open_session(settings.wire, listen=True) as session:
         log.info("trials wait for actors: appl-dist actors wire.endpoint=%s", settings.wire.endpoint)
-        yield SpreadCrew(session, f"{folder.resolve().name}-{session.identity[:8]}", settings)
+        yield SpreadCrew(session, new_id(folder), settings)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from appl_dist.config import Settings, cores
 from appl_dist.launch.processes import Child, die_with_parent, stop_all
 from appl_dist.launch.roles import stop_event
 from appl_dist.launch.runs import Whereabouts, whereabouts
+from appl_dist.overrides import quoted
 from appl_dist.wire.credentials import ACTOR
 
 log = logging.getLogger(__name__)
@@ -71,4 +72,6 @@ def _arguments(settings: Settings, endpoint: str, name: str) -> list[str]:
         "run": settings.actor.run,
         "spool": str(Path(settings.actor.spool) / name) if settings.actor.spool else "",
     }
-    return ["actor", *(f"wire.{k}={v}" for k, v in wire.items()), *(f"actor.{k}={v}" for k, v in actor.items())]
+    own = {**{f"wire.{k}": v for k, v in wire.items()}, **{f"actor.{k}": v for k, v in actor.items()}}
+    own["run.id"] = settings.run.id
+    return ["actor", *(quoted(key, value) for key, value in own.items())]

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from appl_dist.errors import UserError
+from appl_dist.wire.wire_settings import MAX_ACTORS
 
 SYSTEMS = ("local", "slurm")
 _TIME = re.compile(r"(\d+-)?\d{1,2}(:\d{2}){0,2}|\d+")
@@ -52,7 +53,7 @@ class LaunchSettings:
         if self.system not in SYSTEMS:
             raise UserError(f"launch.system: got {self.system!r}; allowed {', '.join(SYSTEMS)}")
         for name, low, high in (
-            ("actors", 0, 10_000),
+            ("actors", 0, MAX_ACTORS),
             ("actors_per_task", 1, 1024),
             ("learner_cpus", 1, 1024),
             ("actor_cpus", 1, 64),

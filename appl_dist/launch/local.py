@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import signal
 import sys
 import time
@@ -20,7 +21,8 @@ from appl_dist.launch.evaluation import evaluate_methods
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import USER_ERROR, Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, open_spool, stop_event
-from appl_dist.launch.runs import prepare
+from appl_dist.launch.runs import prepare, require_run
+from appl_dist.overrides import quoted
 from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
 from appl_dist.wire.status import RunStatus
@@ -38,9 +40,16 @@ def train(settings: Settings) -> int:
     settings, folder = prepare(settings)
     console = view.make_console()
     finished = _serial(settings) if settings.serial else _processes(settings, folder, console)
-    console.print(run_ledger(folder).sentence(), highlight=False, markup=False, soft_wrap=True)
+    ledger = run_ledger(folder)
+    console.print(ledger.sentence(), highlight=False, markup=False, soft_wrap=True)
+    if not ledger.agrees:
+        return 1
     if not finished:
-        console.print(f"stopped; continue with: appl-dist train run.resume={folder}", highlight=False, markup=False)
+        console.print(
+            f"stopped; continue with: appl-dist train {shlex.quote(f'run.resume={folder}')}",
+            highlight=False,
+            markup=False,
+        )
         return 0
     _evaluate(settings, folder, console)
     return 0
@@ -55,7 +64,7 @@ def _processes(settings: Settings, folder: Path, console: Console) -> bool:
     actors = [
         Child(
             f"actor-{i}",
-            ["actor", config, f"actor.id=actor-{i}", f"actor.spool={folder / 'spool' / f'actor-{i}'}"],
+            ["actor", config, f"actor.id=actor-{i}", quoted("actor.spool", str(folder / "spool" / f"actor-{i}"))],
             logs / f"actor-{i}.log",
         )
         for i in range(settings.actors or cores())
@@ -104,7 +113,9 @@ def _watch(
                 if session is None:
                     session = open_session(replace(settings.wire, timeout_s=CONNECT_S), False, VIEWER)
                 if run_id is None:
-                    run_id, _ = fetch_run(session, 1.0)
+                    found, _ = fetch_run(session, 1.0)
+                    require_run(settings.run.id, found, settings.wire.connect_endpoint)
+                    run_id = found
                 status = fetch_run_status(session, run_id, 2.0)
             except UserError:
                 continue  # starting, or restarting

@@ -9,21 +9,21 @@ import socket
 import sys
 import threading
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from appl_dist.actor.collect import Explorer, act, actor_seed
+from appl_dist import seeds
+from appl_dist.actor.collect import Explorer, act
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.spool import Spool, SpoolInUse
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import UserError
 from appl_dist.launch.environment import EVALUATION, environment_arguments, worlds_of
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.launch.runs import announce, announce_gone, prepare, require_run, whereabouts
+from appl_dist.launch.runs import announce, announce_gone, prepare, require_run, run_id_of, whereabouts
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -32,6 +32,7 @@ from appl_dist.wire.liveness import Presence
 from appl_dist.wire.typed import MAX_TEXT
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
+from appl_dist.wire.wire_settings import MAX_ACTORS
 
 if TYPE_CHECKING:
     from appl_dist.learner.learner import Learner
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DRAIN_S = 5.0  # an actor's last rollouts
-MAX_ACTORS = 10_000
 LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not started yet
 HELD_ROLLOUTS = 2  # an actor that the learner told to wait stops collecting at this many unsent rollouts
 
@@ -104,7 +104,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
 
     folder = Path(settings.run.folder)
     run = Run(
-        run_id=folder.resolve().name,
+        run_id=settings.run.id,
         folder=folder,
         seed=settings.run.seed,
         transitions=settings.run.transitions,
@@ -112,7 +112,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         config=as_dict(settings),
         space=SPACES[settings.env.space],
         failed_time_s=settings.protocol.failed_time_s,
-        sigma=lambda n: settings.explore.sigma(n, settings.run.transitions),
+        sigma=settings.explore.sigma,
         sync=settings.run.sync,
     )
     return Learner(bus, run, settings.learner)
@@ -139,10 +139,10 @@ def actor(settings: Settings) -> int:
         if EVALUATION in served:
             from appl_dist.launch.distributed_evaluation import drive_trials
 
-            drive_trials(session, run_id, served, own.id or f"{identity}-{socket.gethostname()}", stop.is_set)
+            drive_trials(session, run_id, served, own.id or f"{identity}-{os.getpid()}", stop.is_set)
             return 0
-        if own.run:
-            require_run(Path(own.run), run_id)
+        wanted = settings.run.id or (run_id_of(Path(own.run)) if own.run else run_id)
+        require_run(wanted, run_id, wire.connect_endpoint)
         frozen = from_dict(served)
         with open_spool(own, frozen.actor, run_id, identity, frozen.run.sync) as spool:
             act_in_run(frozen, session, run_id, spool, stop.is_set)
@@ -150,9 +150,10 @@ def actor(settings: Settings) -> int:
 
 
 def _who(settings: Settings) -> tuple[ActorSettings, str]:
-    """(this actor, its identity). Without an id, and a run's folder to choose it in, the actor gets one of its own.
+    """(this actor, the name that its id begins with). UserError: the credentials do not cover the id.
 
-    UserError: the credentials do not cover the id.
+    Spools that do not lie in the run's folder belong to this host and working folder, and so do the names of their
+    actors.
     """
     wire, own = settings.wire, settings.actor
     name = ACTOR
@@ -161,8 +162,8 @@ def _who(settings: Settings) -> tuple[ActorSettings, str]:
         name = identity.name
         if own.id and not identity.covers(own.id):
             raise UserError(f"actor.id: {own.id} is not covered by identity {name}; expected {name}-…")
-    if not own.id and not own.run:
-        own = replace(own, id=f"{name}-{socket.gethostname()}-{os.getpid()}")
+    if not own.run:
+        name = f"{name}-{socket.gethostname()[:30]}-{zlib.crc32(os.getcwd().encode()):08x}"
     return own, name
 
 
@@ -171,12 +172,12 @@ def open_spool(
 ) -> Spool:
     """The spool of the actor that `own` describes, as large as `limits` says; its owner's name is the actor's id.
 
-    sync: see `RunSettings`. Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has.
+    sync: see `RunSettings`. Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has; one
+    whose rollouts wait comes first, so that a dead actor's spool is sent by its successor.
     """
     root = Path(own.run) / "spool" if own.run else Path("spool") / run_id
     if own.id:
         return _spool(Path(own.spool or root / own.id), own.id, limits, run_id, sync)
-    # Where a dead actor's rollouts wait comes first, so that they are sent by whoever takes its place.
     names = [f"{identity}-{i}" for i in range(MAX_ACTORS)]
     waiting = {path.parent.name for path in root.glob(f"{identity}-*/*.rollout")}
     for name in sorted(names, key=lambda n: n not in waiting):
@@ -217,13 +218,13 @@ def act_in_run(
     patience = Patience(lambda: control.learner_present, 60.0 * settings.actor.patience_min)
     try:
         uploader.start(LEARNER_AWAY_S, stop)
-        seed = actor_seed(settings.run.seed, actor_id, spool.next_seq)
-        explorer = Explorer(weights, env, settings.explore, settings.run.transitions, np.random.default_rng(seed))
+        life = (settings.run.seed, "actor", actor_id, spool.next_seq)  # another after a restart
+        explorer = Explorer(weights, env, settings.explore, seeds.generator(*life, "exploration"))
         made = act(
             env,
             explorer,
             spool,
-            seed=seed,
+            seed=seeds.integer(*life, "environment"),
             stop=lambda: stop() or control.state() == "stop" or patience.is_over(),
             beat=lambda progress: presence.beat(replace(progress, host=host)),
             hold=lambda: between_episodes() or (uploader.held and len(spool) >= HELD_ROLLOUTS),

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
+import secrets
 import socket
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appl_dist.config import CONFIG_FILE, Settings, as_dict, load
+from appl_dist.config import CONFIG_FILE, Settings, as_dict, load_continued, read_frozen
 from appl_dist.errors import UserError
-from appl_dist.files import write_atomic
-from appl_dist.launch.environment import worlds_of
+from appl_dist.files import write_atomic, write_new
+from appl_dist.launch.environment import check_environment
 from appl_dist.wire.key_expressions import is_name
 
 LEARNER_FILE = "learner.json"
+DEFAULT_FOLDER = "runs/%Y%m%d-%H%M%S"
 _EVERYWHERE = ("0.0.0.0", "[::]")
 
 
 def run_folder(settings: Settings) -> Path:
-    """Where the run lies, or will."""
-    return Path(settings.run.resume or settings.run.folder or time.strftime("runs/%Y%m%d-%H%M%S"))
+    """Where the run lies, or will unless another takes the name first."""
+    return Path(settings.run.resume or settings.run.folder or time.strftime(DEFAULT_FOLDER))
 
 
 def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Path]:
@@ -30,24 +34,65 @@ def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Pa
     its length, the wire and where it runs. (`run.resume` has its configuration from `config.load`.)
     """
     folder = run_folder(settings)
-    if not is_name(folder.resolve().name):  # it is the run's id on the wire
-        raise UserError(
-            f"run.folder: got {folder}; its last part names the run: allowed 1..64 of A-Z a-z 0-9 _ . - "
-            "(letter or digit first)"
-        )
-    exists = (folder / CONFIG_FILE).exists()
-    if or_continue and exists:
-        frozen = load([f"run.resume={folder}"])
+    if settings.run.resume:
+        return _freeze(settings, folder), folder
+    if or_continue and (folder / CONFIG_FILE).exists():
+        frozen = load_continued(folder)
         run = replace(frozen.run, transitions=settings.run.transitions, minutes=settings.run.minutes)
-        settings = replace(frozen, run=run, wire=settings.wire, launch=settings.launch)
-    elif exists and not settings.run.resume:
-        raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
+        return _freeze(replace(frozen, run=run, wire=settings.wire, launch=settings.launch), folder), folder
+    check_environment(settings)  # before there is a folder: a mistake leaves nothing behind
+    return _create(settings, folder)
+
+
+def _create(settings: Settings, folder: Path) -> tuple[Settings, Path]:
+    """A new run: whoever makes its configuration file owns the folder."""
+    named = bool(settings.run.folder)
+    for number in itertools.count(2):
+        if _made(folder, exist_ok=named):
+            run = replace(settings.run, folder=str(folder), id=new_id(folder))
+            horizon = settings.explore.horizon or run.transitions
+            fresh = replace(settings, run=run, explore=replace(settings.explore, horizon=horizon))
+            if write_new(folder / CONFIG_FILE, json.dumps(as_dict(fresh), indent=2)):
+                return fresh, folder
+        if named:
+            raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
+        folder = run_folder(settings)
+        folder = folder.with_name(f"{folder.name}-{number}")
+    raise AssertionError("unreachable")
+
+
+def _made(folder: Path, exist_ok: bool) -> bool:
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=exist_ok)
+    except FileExistsError:
+        if exist_ok:
+            raise UserError(f"run.folder: {folder} is a file; give a folder") from None
+        return False
+    except OSError as error:
+        raise UserError(f"run.folder: {folder} cannot be made ({error.strerror}); give another one") from None
+    return True
+
+
+def _freeze(settings: Settings, folder: Path) -> Settings:
+    """The settings of a run that exists, written down again with what was changed."""
     settings = replace(settings, run=replace(settings.run, folder=str(folder), resume=""))
-    if not exists:
-        worlds_of(settings, settings.world.train)  # a wrong path is told here, not by every actor
-        worlds_of(settings, settings.evaluation.worlds)
     write_atomic(folder / CONFIG_FILE, json.dumps(as_dict(settings), indent=2), sync=True)
-    return settings, folder
+    return settings
+
+
+def new_id(folder: Path) -> str:
+    """A random name for a run or an evaluation on the wire, with its folder's name for people to read."""
+    readable = re.sub(r"[^A-Za-z0-9_.-]", "-", folder.resolve().name)[:40].lstrip("._-")
+    return f"{readable or 'run'}-{secrets.token_hex(8)}"
+
+
+def run_id_of(folder: Path) -> str:
+    """The random name of the run in `folder`."""
+    run_id = read_frozen(folder / CONFIG_FILE, "actor.run")["run"].get("id")
+    if not is_name(run_id):
+        raise UserError(f"actor.run: {folder / CONFIG_FILE} is damaged: run.id is {run_id!r}")
+    return str(run_id)
 
 
 @dataclass(frozen=True)
@@ -85,13 +130,16 @@ def whereabouts(folder: Path) -> Whereabouts:
         raise UserError(f"{folder / LEARNER_FILE}: cannot be read ({error})") from None
 
 
-def require_run(folder: Path, run_id: str) -> None:
-    """UserError if the learner that answered has another run than the one in `folder`.
+def require_run(wanted: str, run_id: str, endpoint: str) -> None:
+    """UserError if the learner that answered has another run than `wanted`, the random name of the caller's.
 
     An address written down long ago, or the default one, may be another run's by now.
     """
-    if run_id != folder.resolve().name:
-        raise UserError(f"no learner of the run in {folder}: the one that answers has run {run_id}")
+    if run_id != wanted:
+        raise UserError(
+            f"wire.endpoint: the learner at {endpoint} has run {run_id}, not {wanted}; "
+            "give each run a port of its own, as in wire.endpoint=tcp/127.0.0.1:7448"
+        )
 
 
 def _write(folder: Path, where: Whereabouts) -> None:

@@ -14,6 +14,7 @@ from appl_dist.config import CONFIG_FILE, Settings
 from appl_dist.errors import UserError
 from appl_dist.launch.launch_settings import LaunchSettings
 from appl_dist.launch.runs import LEARNER_FILE
+from appl_dist.overrides import quoted
 from appl_dist.wire.credentials import ACTOR
 
 _AGAIN = """\
@@ -76,15 +77,15 @@ def _learner(settings: Settings, folder: Path, cwd: Path) -> str:
         f"--output={folder}/logs/learner.log",
         *s.learner_extra,
     ]
-    command = _command(s, folder, cwd, f"learner --config={_q(folder / CONFIG_FILE)}")
+    command = _command(s, folder, cwd, f"learner {_q(f'--config={folder / CONFIG_FILE}')}")
     return _script(
-        f"{folder.name}-learner",
+        f"{settings.run.id}-learner",
         options,
         s,
         cwd,
         _AGAIN.format(signal_s=s.signal_s, what="write a checkpoint", signal="USR1", job="$SLURM_JOB_ID"),
         _LEARNER.format(
-            command=f'{command} wire.endpoint="{scheme}/0.0.0.0:{port}"', actors=_q(f"{folder.name}-actors")
+            command=f'{command} wire.endpoint="{scheme}/0.0.0.0:{port}"', actors=_q(f"{settings.run.id}-actors")
         ),
     )
 
@@ -103,11 +104,11 @@ def _actors(settings: Settings, folder: Path, cwd: Path) -> str:
         s,
         folder,
         cwd,
-        f"actors --config={_q(folder / CONFIG_FILE)} actor.run={_q(folder)} "
+        f"actors {_q(f'--config={folder / CONFIG_FILE}')} {_q(quoted('actor.run', str(folder)))} "
         f"actor.id={settings.wire.identity or ACTOR}-$SLURM_ARRAY_TASK_ID actors=$count",
     )
     return _script(
-        f"{folder.name}-actors",
+        f"{settings.run.id}-actors",
         options,
         s,
         cwd,

@@ -9,7 +9,7 @@ from pathlib import Path
 from appl_dist.config import Settings
 from appl_dist.errors import UserError
 from appl_dist.launch import view
-from appl_dist.launch.runs import require_run, whereabouts
+from appl_dist.launch.runs import require_run, run_id_of, whereabouts
 from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
 from appl_dist.wire.status import RunStatus
@@ -35,7 +35,7 @@ def status(settings: Settings, here: bool = False) -> int:
     with open_session(wire, listen=False, identity=VIEWER) as session:
         run_id, _ = fetch_run(session, ANSWER_S)
         if settings.actor.run:
-            require_run(Path(settings.actor.run), run_id)
+            require_run(run_id_of(Path(settings.actor.run)), run_id, wire.connect_endpoint)
         answer = fetch_run_status(session, run_id, ANSWER_S)
     check(answer, socket.gethostname() if here else "")
     console = view.make_console()

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from appl_dist import seeds
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.learner.checkpoint import Checkpoints
@@ -55,8 +56,8 @@ class Learner:
             run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma,
             priority_exponent=settings.priority_exponent, sync=run.sync,
         )  # fmt: skip
-        self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), run.seed)
-        self.rng = np.random.default_rng([run.seed, 0x7D3])
+        self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), seeds.stream(run.seed, "learner", "td3"))
+        self.rng = seeds.generator(run.seed, "learner", "replay")
         self._started = self._opened = time.monotonic()
         self._expected_back = self.replay.actors
         self.checkpoints = Checkpoints(run.folder / "checkpoints")

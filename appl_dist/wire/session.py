@@ -20,12 +20,12 @@ from appl_dist.errors import UserError
 from appl_dist.wire.access import access_control, rate_limits, size_limits
 from appl_dist.wire.bus import Handle, Message, Query
 from appl_dist.wire.credentials import CA_FILE, CERTIFICATE_FILE, KEY_FILE, LEARNER, USERS_FILE, Identity, find
-from appl_dist.wire.wire_settings import WireSettings
+from appl_dist.wire.wire_settings import MAX_ACTORS, WireSettings
 
 log = logging.getLogger(__name__)
 
 _MAX_MESSAGE_BYTES = 64 << 20  # refused by the transport itself, before anything of ours sees it
-_MAX_SESSIONS = 4096
+_MAX_SESSIONS = MAX_ACTORS + 96
 
 
 def open_session(settings: WireSettings, listen: bool, identity: str = "") -> Session:

@@ -22,7 +22,7 @@ def appl_dist(*arguments: str, cwd: Path, timeout_s: float = 60.0) -> subprocess
         (["tarin"], "role 'tarin': expected one of train, learner"),
         (["train", "actor=3"], "actor"),
         (["train", "nonsense=3"], "nonsense"),
-        (["train", "actors=-1"], "actors: got -1; allowed 0..10000"),
+        (["train", "actors=-1"], "actors: got -1; allowed 0..4000"),
         (["train", "actors=many"], "actors"),
         (["train", "learner.gamma=1.5"], "learner.gamma: got 1.5; allowed 0..1"),
         (["train", "learner.td3.polyak=0"], "polyak: got 0"),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appl_dist.actor.collect import Explorer, act, actor_seed
+from appl_dist.actor.collect import Explorer, act
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.exploration import ExplorationSettings
 from appl_dist.actor.protocol import PROTOCOLS
@@ -46,7 +46,7 @@ def env() -> Iterator[NavigationEnv]:
 
 
 def run(env: NavigationEnv, weights: Any, spool: Spool, decisions: int, seed: int = 0) -> int:
-    explorer = Explorer(weights, env, SILENT, 1000, np.random.default_rng(seed))
+    explorer = Explorer(weights, env, SILENT, np.random.default_rng(seed))
     beats: list[Progress] = []
     made = act(env, explorer, spool, seed=seed, stop=lambda: len(beats) >= decisions, beat=beats.append)
     assert [b.transitions for b in beats] == list(range(1, len(beats) + 1))
@@ -102,15 +102,9 @@ def test_weights_of_another_space_are_ignored_and_the_old_policy_goes_on(env: Na
         assert decode_rollout(head[1]).actions[:, 0] == pytest.approx([0.1] * 3, abs=1e-3)
 
 
-def test_seeds_differ_between_actors_and_after_a_restart() -> None:
-    seeds = {actor_seed(0, name, seq) for name in ("a", "b") for seq in range(50)}
-    assert len(seeds) == 100
-    assert actor_seed(0, "a", 3) == actor_seed(0, "a", 3)
-
-
 def test_a_stop_ends_an_actor_whose_spool_is_full_and_keeps_its_episode(env: NavigationEnv, tmp_path: Path) -> None:
     with Spool(tmp_path, "run/actor", 1, 1 << 24) as spool:
-        explorer = Explorer(Constant(), env, SILENT, 1000, np.random.default_rng(0))
+        explorer = Explorer(Constant(), env, SILENT, np.random.default_rng(0))
         beats: list[Progress] = []
 
         def stop() -> bool:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import logging
+import concurrent.futures
+import json
 import socket
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from appl_dist.config import load
+from appl_dist.config import Settings, load
 from appl_dist.errors import UserError
 from appl_dist.launch.roles import Patience, open_spool
-from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare, require_run, whereabouts
+from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare, require_run, run_id_of, whereabouts
 from appl_dist.launch.status import check
+from appl_dist.overrides import quoted
+from appl_dist.wire.key_expressions import is_name
 from appl_dist.wire.status import ActorStatus, RunStatus
 
 SMALL = ["world.count=6", "evaluation.worlds=0:2"]
@@ -30,12 +33,28 @@ def test_a_resumed_run_keeps_its_configuration_and_its_length(tmp_path: Path) ->
     assert load([f"run.resume={tmp_path / 'a'}"]).run.transitions == 999
 
 
-def test_what_a_resumed_run_cannot_change_is_ignored_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_would_change_the_meaning_of_a_run_is_refused_on_resume(tmp_path: Path) -> None:
     prepare(load([*SMALL, f"run.folder={tmp_path / 'a'}"]))
-    with caplog.at_level(logging.WARNING):
-        resumed = load([f"run.resume={tmp_path / 'a'}", "learner.n_step=3"])
-    assert resumed.learner.n_step == 1
-    assert "learner.n_step is ignored" in caplog.text
+    with pytest.raises(UserError, match=r"learner\.n_step: got 3, the run in .*a has 1; a continued run may"):
+        load([f"run.resume={tmp_path / 'a'}", "learner.n_step=3"])
+    assert load([f"run.resume={tmp_path / 'a'}", "learner.n_step=1"]).learner.n_step == 1
+
+
+def test_learning_rates_may_change_on_resume_and_stay_changed(tmp_path: Path) -> None:
+    prepare(load([*SMALL, f"run.folder={tmp_path / 'a'}"]))
+    prepare(load([f"run.resume={tmp_path / 'a'}", "learner.td3.critic_lr=1e-4", "learner.samples_per_insert=64"]))
+    again = load([f"run.resume={tmp_path / 'a'}"]).learner
+    assert (again.td3.critic_lr, again.samples_per_insert) == (1e-4, 64)
+
+
+def test_a_longer_run_never_explores_more_again(tmp_path: Path) -> None:
+    first, _ = prepare(load([*SMALL, f"run.folder={tmp_path / 'a'}", "run.transitions=1000"]))
+    longer, _ = prepare(load([f"run.resume={tmp_path / 'a'}", "run.transitions=9000"]))
+    assert longer.run.transitions == 9000
+    assert longer.explore == first.explore
+    noise = [longer.explore.sigma(n) for n in range(0, 9000, 100)]
+    assert noise == sorted(noise, reverse=True)
+    assert noise[10:] == pytest.approx([first.explore.sigma_floor] * len(noise[10:]))
 
 
 def test_a_learner_goes_on_in_the_folder_of_its_run(tmp_path: Path) -> None:
@@ -46,9 +65,46 @@ def test_a_learner_goes_on_in_the_folder_of_its_run(tmp_path: Path) -> None:
         prepare(load([*SMALL, f"run.folder={tmp_path / 'a'}"]))
 
 
-def test_a_folder_that_cannot_name_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"run\.folder: got .*a b; its last part names the run"):
-        prepare(load([*SMALL, f"run.folder={tmp_path / 'a b'}"]))
+@pytest.mark.parametrize(
+    "name", ["lr=1e-4,seed=3", "a b", "20260101_120000", "x[/y]", "münchen", "it's", "#1", "(a)", "-"]
+)
+def test_any_folder_holds_a_run(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / name
+    made, _ = prepare(load([*SMALL, f"run.folder={folder}"]))
+    assert made.run.folder == str(folder)
+    assert is_name(made.run.id)
+    assert run_id_of(folder) == made.run.id
+    assert load([f"--config={folder / 'config.json'}"]) == made
+    assert load([f"--config={folder / 'config.json'}", quoted("actor.spool", str(folder))]).actor.spool == str(folder)
+    assert prepare(load([f"run.resume={folder}"]))[0].run.id == made.run.id
+
+
+def test_runs_made_in_the_same_second_have_folders_and_names_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = [load([*SMALL, f"run.seed={seed}"]) for seed in range(8)]
+    with concurrent.futures.ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(prepare, given))
+    assert len({folder for _, folder in made}) == 8
+    assert len({settings.run.id for settings, _ in made}) == 8
+    for settings, folder in made:
+        assert json.loads((folder / "config.json").read_text())["run"]["seed"] == settings.run.seed
+
+
+def test_of_two_that_want_one_folder_one_gets_it(tmp_path: Path) -> None:
+    given = [load([*SMALL, f"run.folder={tmp_path / 'a'}", f"run.seed={seed}"]) for seed in range(8)]
+
+    def make(settings: Settings) -> str:
+        try:
+            return prepare(settings)[0].run.id
+        except UserError as error:
+            return str(error)
+
+    with concurrent.futures.ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(make, given))
+    assert found.count(run_id_of(tmp_path / "a")) == 1
+    assert sum("already holds a run" in text for text in found) == 7
 
 
 def test_where_the_learner_is(tmp_path: Path) -> None:
@@ -64,10 +120,10 @@ def test_where_the_learner_is(tmp_path: Path) -> None:
         whereabouts(tmp_path)
 
 
-def test_another_runs_learner_at_the_same_address_is_told_apart(tmp_path: Path) -> None:
-    require_run(tmp_path / "mine", "mine")
-    with pytest.raises(UserError, match=r"no learner of the run in .*mine: the one that answers has run theirs"):
-        require_run(tmp_path / "mine", "theirs")
+def test_another_runs_learner_at_the_same_address_is_told_apart() -> None:
+    require_run("mine-1", "mine-1", "tcp/127.0.0.1:1")
+    with pytest.raises(UserError, match=r"tcp/127\.0\.0\.1:1 has run mine-2, not mine-1; give each run a port"):
+        require_run("mine-1", "mine-2", "tcp/127.0.0.1:1")
 
 
 def test_an_actor_takes_the_first_free_name_and_first_of_all_a_dead_ones_rollouts(tmp_path: Path) -> None:
