@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from appl_dist.evaluate.analysis import Analysis, Group
 from appl_dist.evaluate.folder import Course
-from appl_dist.evaluate.statistics import Correlation, Samples, benjamini_hochberg, bootstrap_interval, spearman
+from appl_dist.evaluate.statistics import (
+    Correlation,
+    Samples,
+    benjamini_hochberg,
+    bootstrap_interval,
+    mean_over_worlds,
+    spearman,
+)
 from appl_dist.sim.difficulty import NAMES
 from appl_dist.sim.generator import FILLS, SMOOTHINGS
 
@@ -98,9 +105,8 @@ def challenge_scores(analysis: Analysis, courses: Mapping[int, Course]) -> list[
             scores = [
                 trial_scores(analysis.samples[method], w, courses[w].optimal_time_s, low, high) for w in analysis.worlds
             ]
-            interval = bootstrap_interval(scores, np.random.default_rng(analysis.seed))
-            mean = float(np.mean([s.mean() for s in scores]))
-            found.append(Score(method, clip, mean, *interval, 1.0 / low))
+            interval = bootstrap_interval([(s / len(s),) for s in scores], np.random.default_rng(analysis.seed))
+            found.append(Score(method, clip, mean_over_worlds(scores), *interval, 1.0 / low))
     return found
 
 

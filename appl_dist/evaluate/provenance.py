@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,11 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         **{name: _version(name) for name in _LIBRARIES},
     }
+
+
+def same_machine(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    """Whether two `machine()` agree in all that bits of a trajectory may depend on: processor, system, libraries."""
+    return all(a.get(k) == b.get(k) for k in ("processor", "system", *_LIBRARIES))
 
 
 def _processor() -> str:

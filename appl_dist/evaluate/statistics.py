@@ -1,11 +1,20 @@
 """Statistics of the APPL papers' evaluations: traversal times, significance per world, intervals.
 
-A failed trial counts `failed_time_s` (70 s in the papers). A world's time is the mean of its trials,
-a method's time the mean over worlds (journal Tab. V). Per world, two methods are compared by Welch's
-t-test at p < 0.05 (journal Tab. VI, Fig. 8), which, as in the papers, ignores that trials are paired by
-seed and is not corrected for the number of worlds: with no effect about 5 % of worlds are significant,
-half each way. Beside it stand the same counts at a false discovery rate of 5 % (Benjamini and Hochberg 1995),
-where with no effect at all there is none in 19 of 20 evaluations. The bootstrap interval uses the pairs.
+Estimands. A failed trial counts `failed_time_s` (70 s in the papers). A world's value is the mean of its trials, a
+method's value the mean over worlds (journal Tab. V), for times, success and scores alike. A difference is the mean
+over worlds of the difference of the world's means, over all trials of both methods.
+
+Intervals (95 %). Each comes from the same trials and the same estimator as its number: worlds are resampled with
+replacement, then trials within each world (hierarchical percentile bootstrap, `bootstrap_interval`). Trial numbers
+that both methods have share their seed and are resampled together; the others are resampled within their method.
+Resampling both levels is slightly conservative (Davison and Hinkley 1997, section 3.8). Success is the exception:
+a bootstrap of nothing but successes has no width, so `success_interval` is Wilson's with a design effect.
+With fewer than two worlds there is no interval.
+
+Significance. Per world, two methods are compared by Welch's t-test at p < 0.05 (journal Tab. VI, Fig. 8), which, as
+in the papers, ignores pairs and is not corrected for the number of worlds: with no effect about 5 % of worlds are
+significant, half each way. Beside it stand the same counts at a false discovery rate of 5 % (Benjamini and Hochberg
+1995), where with no effect at all there is none in 19 of 20 evaluations.
 """
 
 from __future__ import annotations
@@ -40,9 +49,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Summary:
-    """One method over some worlds. Intervals of 95 %: of the mean time by bootstrap over worlds and trials; of
-    success by Wilson over all trials, as if they were independent; trials of one world are alike, so over worlds yet
-    unseen it is wider."""
+    """One method over some worlds, all means over worlds; 95 % intervals (see the module's docstring)."""
 
     method: str
     worlds: int
@@ -59,11 +66,11 @@ class Summary:
 class Comparison:
     """`method` against `versus` over the worlds both were tried in.
 
-    improvement_s is the mean over worlds of (versus - method), positive if `method` is faster, with its
-    95 % bootstrap interval. better and worse count worlds with p < 0.05, better_fdr and worse_fdr those that
-    Benjamini and Hochberg's procedure keeps at a false discovery rate of 5 %. win_probability: the chance that a
-    trial of `method` is faster than one of `versus` in the same world, ties counting half, mean over worlds, with
-    the 95 % interval of resampled worlds (the probability of improvement of Agarwal et al. 2021).
+    improvement_s is the mean over worlds of (versus - method), positive if `method` is faster, with its 95 % interval.
+    better and worse count worlds with p < 0.05, better_fdr and worse_fdr those that Benjamini and Hochberg's procedure
+    keeps at a false discovery rate of 5 %. win_probability: the chance that a trial of `method` is faster than one of
+    `versus` in the same world, ties counting half, mean over worlds (the probability of improvement of Agarwal et al.
+    2021), with its 95 % interval. paired_trials: trials of `method` that `versus` has with the same number.
     Per world, in the order of `worlds`: difference_s (n,) = method - versus as in journal Fig. 8, p_values (n,),
     q_values (n,): p adjusted for the false discovery rate.
     """
@@ -120,19 +127,20 @@ def collect(trials: Iterable[Any], failed_time_s: float) -> dict[str, Samples]:
 def summarise(method: str, samples: Samples, worlds: Iterable[int], rng: np.random.Generator | None = None) -> Summary:
     """Mean over those of `worlds` that have trials; the mean is over worlds, not over trials."""
     chosen = [w for w in worlds if w in samples.times_s]
-    count = sum(len(samples.times_s[w]) for w in chosen)
-    successes = sum(samples.successes[w] for w in chosen)
-    low, high = wilson_interval(successes, count)
+    rng = rng or np.random.default_rng(0)
     times = [samples.times_s[w] for w in chosen]
-    time_low, time_high = bootstrap_interval(times, rng or np.random.default_rng(0))
+    rates = np.array([samples.successes[w] / len(samples.times_s[w]) for w in chosen])
+    trials = sum(map(len, times))
+    low, high = success_interval(rates, trials)
+    time_low, time_high = bootstrap_interval([(t / len(t),) for t in times], rng)
     return Summary(
         method=method,
         worlds=len(chosen),
-        trials=count,
-        mean_time_s=float(np.mean([t.mean() for t in times])) if chosen else float("nan"),
+        trials=trials,
+        mean_time_s=mean_over_worlds(times),
         mean_time_low_s=time_low,
         mean_time_high_s=time_high,
-        success=successes / count if count else float("nan"),
+        success=float(rates.mean()) if chosen else float("nan"),
         success_low=low,
         success_high=high,
     )
@@ -162,10 +170,13 @@ def compare(
     difference_s = means_a - means_b
     q_values = benjamini_hochberg(p_values)
     faster, slower = difference_s < 0.0, difference_s > 0.0
-    wins = [np.array([win_probability(a.times_s[w], b.times_s[w])]) for w in common]
-    win_low, win_high = bootstrap_interval(wins, rng, bootstrap_samples)
-    paired = [_pairs(a, b, w) for w in common]
-    low, high = bootstrap_interval([p for p in paired if len(p)], rng, bootstrap_samples)
+    strata = [_strata(a.trials[w], b.trials[w]) for w in common]
+    times = [(a.times_s[w], b.times_s[w]) for w in common]
+    differences = [_split(k, x / len(x), -y / len(y)) for k, (x, y) in zip(strata, times, strict=True)]
+    low, high = bootstrap_interval(differences, rng, bootstrap_samples)
+    wins = np.array([win_probability(x, y) for x, y in times])
+    placements = [_split(k, *_win_parts(x, y)) for k, (x, y) in zip(strata, times, strict=True)]
+    win_low, win_high = np.clip(bootstrap_interval(placements, rng, bootstrap_samples), 0.0, 1.0).tolist()
     return Comparison(
         method=method,
         versus=versus,
@@ -177,10 +188,10 @@ def compare(
         worse=int(np.sum((p_values < SIGNIFICANCE) & slower)),
         better_fdr=int(np.sum((q_values < SIGNIFICANCE) & faster)),
         worse_fdr=int(np.sum((q_values < SIGNIFICANCE) & slower)),
-        win_probability=float(np.mean(wins)),
+        win_probability=float(wins.mean()),
         win_low=win_low,
         win_high=win_high,
-        paired_trials=sum(len(p) for p in paired),
+        paired_trials=sum(len(k[0]) for k in strata),
         worlds=tuple(common),
         difference_s=difference_s,
         p_values=p_values,
@@ -219,9 +230,7 @@ def benjamini_hochberg(p_values: Array) -> Array:
 
 def win_probability(a: Array, b: Array) -> float:
     """Chance that a draw of a (n,) is less than one of b (m,), ties half: Mann and Whitney's U / (n m)."""
-    ordered = np.sort(b)
-    below, up_to = np.searchsorted(ordered, a, "left"), np.searchsorted(ordered, a, "right")
-    return float(1.0 - (below + up_to).sum() / (2.0 * len(a) * len(b)))
+    return float(_wins(a, b).mean())
 
 
 def performance_profile(times_s: Array, ratios: Array) -> Array:
@@ -271,43 +280,101 @@ def welch_p(a: Array, b: Array) -> float:
     return float(stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
 
 
-def wilson_interval(successes: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson score interval of a proportion; (nan, nan) of nothing."""
-    if count == 0:
+def mean_over_worlds(values: Sequence[Array]) -> float:
+    """Mean over worlds of the mean over trials; values[i] (k_i,) of world i. nan of no world."""
+    return float(np.mean([v.mean() for v in values])) if len(values) else float("nan")
+
+
+def success_interval(rates: Array, trials: int) -> tuple[float, float]:
+    """95 % interval of the mean over worlds of success rates (worlds,), from `trials` trials in all.
+
+    Wilson's interval with an effective number of trials (Korn and Graubard 1998; Franco et al. 2019): p (1 - p) over
+    the variance of the mean, which is that of the worlds' rates, with that variance's degrees of freedom; never more
+    than there are trials. For it a world of the rarer outcome is added: few or no failures say little of how alike the
+    trials of a world are, and each world then counts nearly as one trial. (nan, nan) of fewer than 2 worlds.
+    """
+    worlds = len(rates)
+    if worlds < 2:
         return float("nan"), float("nan")
-    interval = stats.binomtest(successes, count).proportion_ci(confidence, method="wilson")
-    return float(interval.low), float(interval.high)
+    p = float(rates.mean())
+    known = np.append(rates, 0.0 if p > 0.5 else 1.0)
+    design = float(known.var(ddof=1) / (known.mean() * (1.0 - known.mean())))  # variance of a world's rate in p (1 - p)
+    narrowing = float(stats.norm.ppf(0.975) / stats.t.ppf(0.975, worlds - 1))
+    low, high = _wilson(p, min(trials, worlds / design * narrowing**2))
+    return min(low, p), max(high, p)  # equal but for rounding where p is 0 or 1
+
+
+def _wilson(p: float, n: float) -> tuple[float, float]:
+    """Wilson's score interval of a proportion of `n` trials, which need not be whole."""
+    z = float(stats.norm.ppf(0.975))
+    centre = (p + z * z / (2.0 * n)) / (1.0 + z * z / n)
+    half = z / (1.0 + z * z / n) * np.sqrt(p * (1.0 - p) / n + z * z / (4.0 * n * n))
+    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
 def bootstrap_interval(
-    samples: Sequence[Array],
+    worlds: Sequence[Sequence[Array]],
     rng: np.random.Generator,
     resamples: int = BOOTSTRAP_SAMPLES,
     confidence: float = 0.95,
 ) -> tuple[float, float]:
-    """Percentile interval of the mean over worlds of the mean over trials, resampling worlds, then
-    trials within them; `samples[i]` (k_i,) are the values of world i. (nan, nan) of fewer than 2 worlds."""
-    if len(samples) < 2:
+    """Percentile interval of the mean over worlds of the sum of all parts of a world.
+
+    worlds[i]: the strata of world i, each (k,) parts that its trials add to the world's value, such as t / k for a mean
+    of k times. Worlds are resampled, then the trials of each stratum. The interval always contains the estimate.
+    (nan, nan) of fewer than 2 worlds.
+    """
+    if len(worlds) < 2:
         return float("nan"), float("nan")
-    counts = np.array([len(s) for s in samples])
+    totals = np.zeros(resamples)
+    drawn = rng.integers(len(worlds), size=(resamples, len(worlds)))
+    for stratum in range(max(map(len, worlds))):
+        totals += _resampled([w[stratum] if stratum < len(w) else np.zeros(0) for w in worlds], drawn, rng)
+    low, high = np.quantile(totals, [(1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0])
+    estimate = float(np.mean([sum(float(part.sum()) for part in w) for w in worlds]))
+    return min(float(low), estimate), max(float(high), estimate)
+
+
+def _resampled(parts: Sequence[Array], drawn: NDArray[np.int64], rng: np.random.Generator) -> Array:
+    """(resamples,) means over the `drawn` worlds (resamples, worlds) of the sum of resampled parts of each."""
+    counts = np.array([len(p) for p in parts])
+    most = int(counts.max())
+    sums = np.zeros(len(drawn))
+    if most == 0:
+        return sums
     offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    values = np.concatenate(list(samples))
-    means = np.empty(resamples)
-    chunk = max(1, 2_000_000 // (len(samples) * int(counts.max())))  # about 16 MB an array
-    for start in range(0, resamples, chunk):
-        n = min(chunk, resamples - start)
-        worlds = rng.integers(len(samples), size=(n, len(samples)))
+    values = np.append(np.concatenate(list(parts)), 0.0)  # the last stands for what a world does not have
+    chunk = max(1, 2_000_000 // (len(parts) * most))  # about 16 MB an array
+    for start in range(0, len(drawn), chunk):
+        worlds = drawn[start : start + chunk]
         k = counts[worlds][..., None]  # (n, worlds, 1)
-        index = (rng.random((n, len(samples), int(counts.max()))) * k).astype(np.int64)
-        drawn = values[offsets[worlds][..., None] + index]
-        drawn *= np.arange(counts.max()) < k  # a world of k trials is resampled k times
-        means[start : start + n] = (drawn.sum(axis=2) / k[..., 0]).mean(axis=1)
-    low, high = np.quantile(means, [(1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0])
-    return float(low), float(high)
+        index = offsets[worlds][..., None] + (rng.random((*worlds.shape, most)) * k).astype(np.int64)
+        index[np.arange(most) >= k] = -1  # k trials are resampled k times
+        sums[start : start + chunk] = values[index].sum(axis=2).mean(axis=1)
+    return sums
 
 
-def _pairs(a: Samples, b: Samples, world: int) -> Array:
-    """(k,) differences a - b of the trials that both have, paired by trial index, hence by seed."""
-    _, in_a, in_b = np.intersect1d(a.trials[world], b.trials[world], return_indices=True)
-    difference: Array = a.times_s[world][in_a] - b.times_s[world][in_b]
-    return difference
+_Indices = NDArray[np.int64]
+
+
+def _strata(a: _Indices, b: _Indices) -> tuple[_Indices, _Indices, _Indices, _Indices]:
+    """Where the trial numbers that both have lie in a and in b, then those of a alone and those of b alone."""
+    _, in_a, in_b = np.intersect1d(a, b, return_indices=True)
+    return in_a, in_b, np.delete(np.arange(len(a)), in_a), np.delete(np.arange(len(b)), in_b)
+
+
+def _split(strata: tuple[_Indices, _Indices, _Indices, _Indices], a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Parts of a world by stratum: of trials that both methods have, of the first alone, of the second alone."""
+    in_a, in_b, only_a, only_b = strata
+    return a[in_a] + b[in_b], a[only_a], b[only_b]
+
+
+def _win_parts(a: Array, b: Array) -> tuple[Array, Array]:
+    """What each trial of a (n,) and b (m,) adds to `win_probability(a, b)`, to first order (Hoeffding's projection)."""
+    wins = _wins(a, b)
+    return (wins.mean(axis=1) - wins.mean()) / len(a), wins.mean(axis=0) / len(b)
+
+
+def _wins(a: Array, b: Array) -> Array:
+    """(n, m) 1 where a (n,) is less than b (m,), 0.5 where equal."""
+    return np.heaviside(b[None, :] - a[:, None], 0.5)

@@ -38,7 +38,7 @@ def write_report(runs: Sequence[Path], folder: Path, open_env: OpenEnv | None = 
     writes the tables alone.
     """
     data = gather(runs)
-    tables = all_tables(data.analysis, data.courses, data.protocol.metric)
+    tables = all_tables(data.analysis, data.courses, data.protocol.metric, data.caveats)
     for table in tables:
         write_atomic(folder / "tables" / f"{table.name}.csv", table.csv())
     write_atomic(folder / "tables.md", "\n".join(t.markdown() for t in tables))

@@ -10,7 +10,9 @@ from appl_dist.actor.protocol import Protocol
 from appl_dist.errors import UserError
 from appl_dist.evaluate.analysis import Analysis, analyse
 from appl_dist.evaluate.folder import Course, Evaluation, read_evaluation
+from appl_dist.evaluate.provenance import same_machine
 from appl_dist.evaluate.trials import Trial
+from appl_dist.report.caveats import caveats
 
 METRICS_FILE = "metrics.jsonl"
 
@@ -33,13 +35,15 @@ class ReportData:
     courses: Mapping[int, Course]
     analysis: Analysis
     origin: Mapping[tuple[str, int, int], tuple[Evaluation, Trial]]
+    caveats: tuple[str, ...] = ()
 
 
 def gather(runs: Sequence[Path]) -> ReportData:
     """Read and bring together evaluations. Raises UserError for those that do not compare.
 
     A method of the same label, policy, settings and seed in two of them is the same, and its trials count once; one
-    that differs in any of these is told apart by its folder's name.
+    that differs in any of these is told apart by its folder's name. A trial that another kind of machine drove with
+    other results is no error: the first counts, and a caveat says so.
     """
     if not runs:
         raise UserError("report: got no folder; give that of an evaluation, or of a run with one")
@@ -57,16 +61,15 @@ def gather(runs: Sequence[Path]) -> ReportData:
     labels = _labels([s.evaluation for s in sources])
     origin: dict[tuple[str, int, int], tuple[Evaluation, Trial]] = {}
     groups: dict[str, list[int]] = {}
+    differing = 0
     for source in sources:
         e = source.evaluation
         for t in e.trials:
             key = (labels[_identity(e, t.method, t.policy)], t.world, t.trial)
             known = origin.setdefault(key, (e, t))[1]
             if known != t:
-                raise UserError(
-                    f"{e.folder}: {t.method}/{t.world}/{t.trial} differs from the same trial in "
-                    f"{origin[key][0].folder} (time {t.time_s} and {known.time_s} s): other code drove one of them"
-                )
+                _check_elsewhere(e, t, *origin[key])
+                differing += 1
         for name, worlds in e.head.groups.items():
             groups[name] = sorted({*groups.get(name, []), *worlds})
     methods = list(dict.fromkeys(labels.values()))
@@ -82,8 +85,19 @@ def gather(runs: Sequence[Path]) -> ReportData:
     if not analysis.groups:
         folders = ", ".join(str(s.evaluation.folder) for s in sources)
         raise UserError(f"{folders}: no world has trials of every method yet; nothing to report")
+    known_caveats = caveats(analysis, [s.evaluation for s in sources], differing)
     title = " against ".join(reversed(analysis.methods)) if len(analysis.methods) <= 3 else "Evaluation"
-    return ReportData(title, protocol, tuple(sources), courses, analysis, origin)
+    return ReportData(title, protocol, tuple(sources), courses, analysis, origin, known_caveats)
+
+
+def _check_elsewhere(a: Evaluation, trial: Trial, b: Evaluation, other: Trial) -> None:
+    """Another machine may give a trial other bits; on the same kind of machine, only other code does."""
+    machines = [[s.get("machine") or {} for s in e.head.sessions] for e in (a, b)]
+    if all(same_machine(m, n) for m in machines[0] for n in machines[1]):
+        raise UserError(
+            f"{a.folder}: {trial.method}/{trial.world}/{trial.trial} differs from the same trial in {b.folder} "
+            f"(time {trial.time_s} and {other.time_s} s) on the same kind of machine: other code drove one of them"
+        )
 
 
 def _metrics(folder: Path) -> Path | None:

@@ -60,6 +60,7 @@ def render(data: ReportData, tables: Sequence[Table], shown: Sequence[Shown], re
         '<nav><a href="#run">What was run</a> <a href="#tables">Tables</a> <a href="#figures">Figures</a> '
         '<a href="#replays">Trials</a> <a href="#failures">Failures</a></nav>',
         f"<ul class=verdict>{''.join(f'<li>{_text(v)}</li>' for v in verdicts(data.analysis))}</ul>",
+        *([f"<p><b>Caveats.</b> {_text(' '.join(data.caveats))}</p>"] if data.caveats else []),
         '<h2 id="run">What was run</h2>',
         *_what_was_run(data),
         '<h2 id="tables">Tables</h2>',

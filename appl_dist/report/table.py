@@ -33,16 +33,25 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """name: of its file and LaTeX label. title, note: what it shows and how it was counted."""
+    """name: of its file and LaTeX label. title, note: what it shows and how it was counted.
+
+    caveats: sentences that every form carries; in CSV a column of its own, the same in every row.
+    """
 
     name: str
     title: str
     note: str
     columns: tuple[Column, ...]
     records: tuple[Record, ...]
+    caveats: tuple[str, ...] = ()
+
+    @property
+    def _below(self) -> str:
+        """Note and caveats as one text."""
+        return " ".join([self.note, *(["Caveats:", *self.caveats] if self.caveats else [])])
 
     def rich(self) -> RichTable:
-        title, note = Text(printable(self.title)), Text(printable(self.note))
+        title, note = Text(printable(self.title)), Text(printable(self._below))
         view = RichTable(title=title, caption=note, box=box.SIMPLE_HEAD, caption_justify="left")
         for c in self.columns:
             view.add_column(Text(printable(c.heading)), justify="left" if c.left else "right")
@@ -56,7 +65,7 @@ class Table:
         lines.append(_row("---" if c.left else "---:" for c in self.columns))
         for record in self.records:
             lines.append(_row(_marked(c.text(record), _md, "**", "**") for c in self.columns))
-        return "\n".join([*lines, "", _md(self.note), ""])
+        return "\n".join([*lines, "", _md(self._below), ""])
 
     def latex(self) -> str:
         """A booktabs table."""
@@ -66,7 +75,7 @@ class Table:
         return "\n".join(
             [
                 r"\begin{table}\centering",
-                rf"\caption{{{_tex(self.title)}. {_tex(self.note)}}}\label{{tab:{self.name}}}",
+                rf"\caption{{{_tex(self.title)}. {_tex(self._below)}}}\label{{tab:{self.name}}}",
                 rf"\begin{{tabular}}{{{align}}}\toprule",
                 rf"{head} \\\midrule",
                 *(rf"{row} \\" for row in body),
@@ -88,17 +97,19 @@ class Table:
         body = "\n".join(f"<tr>{cells('td', (c.text(r) for c in self.columns))}</tr>" for r in self.records)
         return (
             f"<figure class=table id=table-{self.name}><figcaption><b>{_html(self.title)}.</b> "
-            f"{_html(self.note)}</figcaption>\n<div class=scroll><table><thead>"
+            f"{_html(self._below)}</figcaption>\n<div class=scroll><table><thead>"
             f"<tr>{cells('th', (c.heading for c in self.columns))}</tr></thead>\n<tbody>{body}</tbody></table></div>"
             "</figure>"
         )
 
     def csv(self) -> str:
         text = io.StringIO()
-        writer = csv.DictWriter(text, list(self.records[0]) if self.records else [], lineterminator="\n")
+        caveats = {"caveats": " ".join(self.caveats)} if self.caveats else {}
+        names = [*self.records[0], *caveats] if self.records else []
+        writer = csv.DictWriter(text, names, lineterminator="\n")
         writer.writeheader()
         for record in self.records:
-            writer.writerow({k: printable(v) if isinstance(v, str) else v for k, v in record.items()})
+            writer.writerow({k: printable(v) if isinstance(v, str) else v for k, v in (record | caveats).items()})
         return text.getvalue()
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 from appl_dist.evaluate.analysis import Analysis, Group
@@ -16,8 +17,10 @@ from appl_dist.evaluate.folder import Course
 from appl_dist.report.table import Column, Record, Table
 
 
-def all_tables(analysis: Analysis, courses: Mapping[int, Course], metric: str) -> list[Table]:
-    """Every table that `analysis` has the data for; `metric` is the protocol's."""
+def all_tables(
+    analysis: Analysis, courses: Mapping[int, Course], metric: str, caveats: tuple[str, ...] = ()
+) -> list[Table]:
+    """Every table that `analysis` has the data for; `metric` is the protocol's. caveats: stand in each."""
     tables = [score_table(analysis, courses)] if metric == "score" else []
     tables += [mean_table(analysis), driving_table(analysis)]
     if len(analysis.methods) > 1:
@@ -29,7 +32,7 @@ def all_tables(analysis: Analysis, courses: Mapping[int, Course], metric: str) -
     tables.append(sets_table(analysis, generation_sets(analysis, courses)))
     if len(analysis.worlds) >= 4:
         tables.append(difficulty_table(analysis, courses))
-    return tables
+    return [replace(t, caveats=caveats) for t in tables]
 
 
 def mean_table(analysis: Analysis) -> Table:
@@ -38,6 +41,7 @@ def mean_table(analysis: Analysis) -> Table:
     columns = [
         *_WORLDS,
         Column("time, s [95 %]", lambda r: _interval(r["mean_time_s"], r["mean_time_low_s"], r["mean_time_high_s"])),
+        Column("trials", lambda r: f"{r['trials']:,}"),
         Column("distance, m", lambda r: number(r["distance_m"])),
         Column("success, % [95 %]", _success),
     ]

@@ -19,12 +19,13 @@ from appl_dist.evaluate.statistics import (
     bootstrap_interval,
     collect,
     compare,
+    mean_over_worlds,
     performance_profile,
     spearman,
+    success_interval,
     summarise,
     turned,
     welch_p,
-    wilson_interval,
     win_probability,
 )
 
@@ -48,11 +49,41 @@ def test_benjamini_hochberg_is_statsmodels(p_values: list[float]) -> None:
     assert ((found <= 0.05) == rejected).all()
 
 
-@given(st.integers(1, 400), st.data())
-def test_wilson_is_statsmodels(count: int, data: st.DataObject) -> None:
-    successes = data.draw(st.integers(0, count))
-    expected = proportion_confint(successes, count, method="wilson")
-    assert wilson_interval(successes, count) == pytest.approx(expected, abs=1e-12)
+@given(st.integers(2, 200), st.data())
+def test_success_with_one_trial_a_world_is_about_statsmodels_wilson(worlds: int, data: st.DataObject) -> None:
+    successes = data.draw(st.integers(0, worlds))
+    rates = np.array([1.0] * successes + [0.0] * (worlds - successes))
+    low, high = proportion_confint(successes, worlds, method="wilson")
+    found = success_interval(rates, worlds)
+    assert 0.0 <= found[0] <= low + 1e-9
+    assert high - 1e-9 <= found[1] <= 1.0  # a little wider: the variance is estimated
+    if worlds > 100:
+        assert found == pytest.approx((low, high), abs=0.01)
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(1, 9)), min_size=2, max_size=40))
+def test_the_success_interval_contains_its_estimate(worlds: list[tuple[int, int]]) -> None:
+    rates = np.array([min(s, n) / n for s, n in worlds])
+    low, high = success_interval(rates, sum(n for _, n in worlds))
+    assert 0.0 <= low <= rates.mean() <= high <= 1.0
+    assert low < high
+
+
+@pytest.mark.parametrize(("mean", "alike"), [(0.5, 0.5), (0.9, 0.3), (0.9, 0.0), (0.98, 0.5)])
+def test_success_intervals_hold_the_truth_when_trials_of_a_world_are_alike(mean: float, alike: float) -> None:
+    """alike: correlation of two trials of one world (beta-binomial). Wilson over all trials would fail at 0.5."""
+    rng = np.random.default_rng(10)
+    held = wilson_held = 0
+    for _ in range(400):
+        size = 1.0 / alike - 1.0 if alike else 1e9
+        p = rng.beta(mean * size, (1.0 - mean) * size, 50)
+        successes = rng.binomial(10, p)
+        low, high = success_interval(successes / 10, 500)
+        held += low <= mean <= high
+        plain = proportion_confint(successes.sum(), 500, method="wilson")
+        wilson_held += plain[0] <= mean <= plain[1]
+    assert held >= 364  # 380 expected; 91 %
+    assert alike < 0.5 or wilson_held < 300
 
 
 @given(times, times)
@@ -129,23 +160,12 @@ def test_welch_of_constant_and_lone_samples() -> None:
     assert welch_p(np.array([1.0]), np.array([2.0, 3.0])) == 1.0
 
 
-@given(st.integers(1, 400), st.data())
-def test_wilson_matches_its_formula(count: int, data: st.DataObject) -> None:
-    successes = data.draw(st.integers(0, count))
-    low, high = wilson_interval(successes, count)
-    z, p = 1.959963984540054, successes / count
-    centre = (p + z * z / (2 * count)) / (1 + z * z / count)
-    half = z / (1 + z * z / count) * math.sqrt(p * (1 - p) / count + z * z / (4 * count * count))
-    assert (low, high) == pytest.approx((centre - half, centre + half), abs=1e-9)
-    assert 0.0 <= low <= p <= high <= 1.0
-
-
 def test_a_failed_trial_counts_seventy_seconds_and_worlds_weigh_the_same() -> None:
     rows = [trial("a", 0, 0, 20.0), trial("a", 0, 1, 50.0, success=False)]
     rows += [trial("a", 1, k, 10.0) for k in range(4)]
     found = summarise("a", collect(rows, FAILED_S)["a"], [0, 1, 2])
     assert found.mean_time_s == pytest.approx((45.0 + 10.0) / 2)  # not (90 + 40) / 6
-    assert (found.worlds, found.trials, found.success) == (2, 6, 5 / 6)
+    assert (found.worlds, found.trials, found.success) == (2, 6, 0.75)  # not 5 / 6
     assert math.isnan(summarise("a", collect(rows, FAILED_S)["a"], [7]).mean_time_s)
 
 
@@ -181,17 +201,90 @@ def test_the_interval_holds_the_truth_about_nineteen_times_in_twenty() -> None:
     held = 0
     for _ in range(200):
         effects = rng.normal(1.0, 3.0, 40)
-        low, high = bootstrap_interval([rng.normal(e, 2.0, 5) for e in effects], rng, 300)
+        low, high = bootstrap_interval([(rng.normal(e, 2.0, 5) / 5,) for e in effects], rng, 300)
         held += low < 1.0 < high
     assert 180 <= held <= 200
 
 
+def test_differences_of_unequal_trial_numbers_hold_the_truth() -> None:
+    """One method with 20 trials a world, the other with 2, half of them paired."""
+    rng = np.random.default_rng(11)
+    held = 0
+    for _ in range(200):
+        mean_s = rng.uniform(15.0, 40.0, 40)
+        versus = [
+            trial("b", w, k, m + 1.0 + 2.0 * rng.standard_normal()) for w, m in enumerate(mean_s) for k in (0, 90)
+        ]
+        samples = collect(draw("a", mean_s, 20, rng) + versus, FAILED_S)
+        found = compare("a", "b", samples, range(40), rng=rng, bootstrap_samples=300)
+        held += found.improvement_low_s < 1.0 < found.improvement_high_s
+    assert 180 <= held <= 200
+
+
+numbered = st.dictionaries(st.integers(0, 12), st.sampled_from([8.0, 10.0, 11.5, 30.0, 70.0]), min_size=1, max_size=9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(numbered, numbered), min_size=2, max_size=6))
+def test_every_interval_contains_its_estimate(worlds: list[tuple[dict[int, float], dict[int, float]]]) -> None:
+    rows = [trial("a", w, k, t, t < 70.0) for w, (a, _) in enumerate(worlds) for k, t in a.items()]
+    rows += [trial("b", w, k, t, t < 70.0) for w, (_, b) in enumerate(worlds) for k, t in b.items()]
+    samples = collect(rows, FAILED_S)
+    c = compare("a", "b", samples, range(6), rng=np.random.default_rng(0), bootstrap_samples=100)
+    assert c.improvement_low_s <= c.improvement_s + 1e-9
+    assert c.improvement_s - 1e-9 <= c.improvement_high_s
+    assert c.win_low - 1e-9 <= c.win_probability <= c.win_high + 1e-9
+    for method in "ab":
+        s = summarise(method, samples[method], range(6))
+        assert s.mean_time_low_s - 1e-9 <= s.mean_time_s <= s.mean_time_high_s + 1e-9
+        assert s.success_low <= s.success <= s.success_high
+
+
+def test_forty_trials_against_two() -> None:
+    """The two common numbers are equal, the other 38 are not: the interval is that of all trials."""
+    rng = np.random.default_rng(12)
+    a = [trial("a", w, k, 10.0 if k < 2 else 15.0 + rng.standard_normal()) for w in range(10) for k in range(40)]
+    b = [trial("b", w, k, 10.0) for w in range(10) for k in range(2)]
+    found = compare("a", "b", collect(a + b, FAILED_S), range(10), rng=rng)
+    assert found.improvement_s == pytest.approx(-4.75, abs=0.1)
+    assert found.improvement_low_s < found.improvement_s < found.improvement_high_s < -4.0
+
+
+def test_the_bootstrap_is_that_of_a_plain_loop() -> None:
+    """Against an independent implementation: worlds drawn, then pairs, then lone trials of either method."""
+    rng = np.random.default_rng(13)
+    rows = []
+    for w in range(12):
+        gain_s = rng.normal(0.0, 3.0)
+        for k in range(6):
+            noise = rng.normal(0.0, 4.0)
+            rows.append(trial("a", w, k, 30.0 + gain_s + noise))
+            if k < 3:
+                rows.append(trial("b", w, k, 30.0 + noise))
+        rows.append(trial("b", w, 50, 30.0 + rng.normal(0.0, 4.0)))
+    by_cell = {(t.method, t.world, t.trial): t.time_s for t in rows}
+    means = []
+    for _ in range(3000):
+        values = []
+        for w in rng.integers(12, size=12):
+            common, lone = rng.integers(3, size=3), 3 + rng.integers(3, size=3)
+            a = [by_cell["a", w, k] for k in (*common, *lone)]
+            b = [by_cell["b", w, k] for k in (*common, 50)]
+            values.append(np.mean(a) - np.mean(b))
+        means.append(np.mean(values))
+    expected = np.quantile(means, [0.025, 0.975])
+    found = compare("a", "b", collect(rows, FAILED_S), range(12), rng=rng, bootstrap_samples=4000)
+    assert (-found.improvement_high_s, -found.improvement_low_s) == pytest.approx(tuple(expected), abs=0.12)
+    assert found.paired_trials == 36
+
+
 def test_bootstrap_with_uneven_worlds_and_nothing() -> None:
     rng = np.random.default_rng(3)
-    constant = [np.full(k, 4.0) for k in (1, 5, 2)]
+    constant = [(np.full(k, 4.0 / k),) for k in (1, 5, 2)]
+    assert mean_over_worlds([np.array([1.0]), np.array([2.0, 4.0])]) == 2.0
     assert bootstrap_interval(constant, rng) == pytest.approx((4.0, 4.0))
     assert all(math.isnan(v) for v in bootstrap_interval(constant[:1], rng))
-    values = [np.array([float(w)]) for w in range(30)]
+    values = [(np.array([float(w)]),) for w in range(30)]
     expected = 14.5 + np.array([-1.96, 1.96]) * np.std(np.arange(30)) / math.sqrt(30)
     assert bootstrap_interval(values, rng, 4000) == pytest.approx(tuple(expected), abs=0.4)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import io
 import json
 import re
 import shutil
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from appl_dist.actor.protocol import PROTOCOLS, Protocol
 from appl_dist.errors import UserError
@@ -100,6 +102,42 @@ def test_folders_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     changed = write_evaluation(tmp_path / "c", {"default": 21.0})
     with pytest.raises(UserError, match="other code drove one of them"):
         gather([a, changed])
+
+
+def test_trials_of_another_machine_are_compared_with_a_caveat(tmp_path: Path) -> None:
+    a = write_evaluation(tmp_path / "a", {"default": 20.0})
+    b = write_evaluation(tmp_path / "b", {"default": 21.0})
+    head = json.loads((b / "evaluation.json").read_text())
+    head["sessions"][0]["machine"]["processor"] = "another processor"
+    (b / "evaluation.json").write_text(json.dumps(head))
+    data = gather([a, b])
+    assert {e.folder for e, _ in data.origin.values()} == {a}
+    assert any("2 kinds of machine" in c for c in data.caveats)
+    assert any("44 trials of the same seed came out differently" in c for c in data.caveats)
+
+
+def test_caveats_stand_in_every_form_of_every_table(tmp_path: Path) -> None:
+    """40 trials against 2, one of a learned policy on its training worlds, not finished."""
+    a = write_evaluation(tmp_path / "a", {"default": 20.0}, trials=40)
+    b = write_evaluation(tmp_path / "b", {"x[/y] & |": 15.0}, trials=2)
+    shutil.copy(a / "worlds.csv", b / "worlds.csv")
+    head = json.loads((b / "evaluation.json").read_text())
+    head |= {"trials_per_world": 3}
+    head["methods"][0]["spec"] = "runs/a/policy.safetensors"
+    (b / "evaluation.json").write_text(json.dumps(head))
+    report = write_report([a, b], tmp_path / "out", pictures=False)
+    expected = ["unequal (2 to 40 a world", "12 of 36 trials are missing", "one training run each", "training worlds"]
+    out = Console(file=io.StringIO(), width=100)
+    for table in report.tables:
+        out.print(table.rich())
+        csv_text = (tmp_path / "out" / "tables" / f"{table.name}.csv").read_text()
+        for text in (table.markdown(), table.latex(), table.html(), csv_text):
+            assert all(e in text for e in expected), table.name
+    shown = " ".join(out.file.getvalue().split())  # type: ignore[attr-defined]
+    assert all(shown.count(e) == len(report.tables) for e in expected)
+    record = next(r for t in report.tables if t.name == "mean" for r in t.records if r["method"] != "default")
+    low, mean, high = (record[f"improvement_over_default_{k}"] for k in ("low_s", "s", "high_s"))
+    assert low <= mean <= high
 
 
 class Page(HTMLParser):
