@@ -1,6 +1,6 @@
 """How long a learner takes to its first update, new and resumed, and how long a checkpoint holds training up.
 
-Papers' networks; the resumed learner finds a checkpoint and a replay of --transitions. Each start is a fresh process,
+Default networks; the resumed learner finds a checkpoint and a replay of --transitions. Each start is a fresh process,
 timed from the outside.
 
     python benchmarks/learner_times.py [--transitions 100000] [--saves 10]

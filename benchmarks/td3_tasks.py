@@ -95,7 +95,8 @@ def ours(task: Task, seed: int, precision: str) -> Curve:
     rng = np.random.default_rng(seed)
 
     def act(obs: Any) -> Any:
-        return learner.actor.forward(torch.from_numpy(obs[None])).output[0, 0].tanh().numpy()
+        with torch.no_grad():
+            return learner.actor(torch.from_numpy(obs[None]))[0].numpy()
 
     curve: Curve = []
     obs, _ = env.reset(seed=seed)

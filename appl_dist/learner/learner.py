@@ -128,6 +128,11 @@ class Learner:
             self.save()
             self.checkpoints.wait()
         self.telemetry.write(self.version)
+        if self._out_of_time() and self.replay.transitions_total < self.run_info.transitions:
+            log.warning(
+                "run.minutes=%g ended training before run.transitions=%d; run.resume=%s run.minutes=0 continues",
+                self.run_info.minutes, self.run_info.transitions, self.run_info.folder,
+            )  # fmt: skip
         counts, refused = self.server.counts, self.server.refused()
         log.info(
             "ended at %d transitions, %d updates; this process stored %d rollouts, answered %d repeats, refused %d%s",
@@ -167,8 +172,10 @@ class Learner:
     @property
     def finished(self) -> bool:
         """Whether the run has its transitions, or its minutes are over."""
-        minutes = self._elapsed_s() / 60.0
-        return self.replay.transitions_total >= self.run_info.transitions or 0.0 < self.run_info.minutes <= minutes
+        return self.replay.transitions_total >= self.run_info.transitions or self._out_of_time()
+
+    def _out_of_time(self) -> bool:
+        return 0.0 < self.run_info.minutes <= self._elapsed_s() / 60.0
 
     def _resume(self) -> int:
         """Load the newest checkpoint, if any; this process's epoch, one more than the last one's."""

@@ -49,7 +49,7 @@ class MLP(nn.Module):
         return value
 
     def _activate(self, x: Tensor) -> Tensor:
-        return functional.layer_norm(x, x.shape[-1:]).relu() if self.layer_norm else x.relu()
+        return functional.layer_norm(x, x.shape[-1:]).relu_() if self.layer_norm else x.relu_()
 
 
 class Actor(nn.Module):

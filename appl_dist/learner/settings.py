@@ -12,12 +12,13 @@ from appl_dist.learner.limiter import LimiterSettings
 class TD3Settings:
     """Everything `TD3` needs beside the sizes; ValueError names the field that cannot be.
 
-    `precision` bf16 computes the hidden layers in bfloat16 (3 times faster where the CPU has AMX), fp32 everything in
-    float32; auto takes bf16 where the hardware multiplies it natively. `threads` is torch's for the process, and ours
-    in an update. `layer_norm` normalises the critics' hidden layers. n-step and gamma belong to replay.
+    hidden: widths of the hidden layers of actor and critics; the papers have (512, 512, 512). precision: bf16
+    computes the hidden layers in bfloat16, fp32 everything in float32; auto takes bf16 where the hardware multiplies
+    it. threads: of torch in the learner's process. layer_norm: normalises the critics' hidden layers. polyak: the
+    share of the network in each averaging step of its target. n-step and gamma belong to replay.
     """
 
-    hidden: tuple[int, ...] = (512, 512, 512)
+    hidden: tuple[int, ...] = (256, 256)
     batch_size: int = 256
     actor_lr: float = 3e-4
     critic_lr: float = 3e-4

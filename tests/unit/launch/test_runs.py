@@ -156,3 +156,11 @@ def test_health_is_more_than_an_answer() -> None:
     for actors in ((), (replace(actor, host="elsewhere"),), (replace(actor, silent_s=61.0),)):
         with pytest.raises(UserError, match="no actor on here"):
             check(replace(answer, actors=actors), "here")
+
+
+def test_networks_fit_ordinary_processors_unless_the_papers_are_asked_for() -> None:
+    for experiment in ("laptop", "barn_hour"):
+        assert load([f"experiment={experiment}"]).learner.td3.hidden == (256, 256)
+    assert load(["learner=paper"]).learner.td3.hidden == (512, 512, 512)
+    # `make train` ends within a quarter of an hour, whatever the machine makes of its transitions.
+    assert 0 < load([]).run.minutes <= 12

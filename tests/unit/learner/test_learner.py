@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -170,3 +172,13 @@ def test_a_damaged_epoch_file_is_refused_in_one_sentence(tmp_path: Path) -> None
     (tmp_path / "epoch.json").write_text("{")
     with pytest.raises(UserError, match=r"epoch\.json: epoch: got None"), learner(tmp_path):
         pass
+
+
+def test_a_run_that_its_minutes_end_says_so_and_how_to_go_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    part = Learner(MemoryHub().connect(), replace(run_info(tmp_path), minutes=1e-9), SETTINGS)
+    try:
+        with caplog.at_level(logging.WARNING):
+            part.run(lambda: False)
+    finally:
+        part.close()
+    assert "run.minutes=1e-09 ended training before run.transitions=1000000; run.resume=" in caplog.text
