@@ -26,7 +26,7 @@ PAPER_TRANSITIONS_PER_CPU_S = 0.46  # 231 transitions/s on 500 CPUs
 
 def papers_policy(rng: np.random.Generator) -> Any:
     """A random policy of the papers' shape: 729-512-512-512-8."""
-    from appl_dist.actor.policy import MLPPolicy
+    from appl_dist.policy.network import MLPPolicy
     from appl_dist.policy_file import PolicyFile
     from appl_dist.spec import OBSERVATION_SIZE
 

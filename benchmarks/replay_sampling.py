@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
-from appl_dist.actor.policy import MLPPolicy
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
+from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, Rollout
 

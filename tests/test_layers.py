@@ -62,10 +62,10 @@ def test_a_library_stays_in_its_place(library: str, allowed: tuple[str, ...]) ->
 @pytest.mark.parametrize(
     ("part", "never"),
     [
-        ("sim", ("planner", "actor", "learner", "wire", "evaluate", "report", "launch", "config")),
-        ("planner", ("sim", "actor", "learner", "wire", "evaluate", "report", "launch", "config")),
+        ("sim", ("planner", "policy", "actor", "learner", "wire", "evaluate", "report", "launch", "config")),
+        ("planner", ("sim", "policy", "actor", "learner", "wire", "evaluate", "report", "launch", "config")),
         ("wire", ("sim", "planner", "actor.env", "learner", "evaluate", "report", "launch", "config")),
-        ("learner", ("sim", "planner", "actor", "evaluate", "report", "launch", "config")),
+        ("learner", ("sim", "planner", "policy", "actor", "evaluate", "report", "launch", "config")),
         ("actor", ("learner", "evaluate", "report", "launch", "config")),
         ("evaluate", ("learner", "wire", "launch", "config", "report")),
         ("report", ("learner", "wire", "launch", "config")),
@@ -82,6 +82,16 @@ def test_dependencies_point_one_way(part: str, never: tuple[str, ...]) -> None:
         if i == f"appl_dist.{n}" or i.startswith(f"appl_dist.{n}.")
     }
     assert wrong == set()
+
+
+def test_policies_need_numpy_and_layouts_alone() -> None:
+    allowed = ("appl_dist.policy", "appl_dist.policy_file", "appl_dist.spec", "appl_dist.errors", "appl_dist.registry")
+    modules = list((PACKAGE / "policy").glob("*.py"))
+    assert len(modules) > 1
+    ours = {i for m in modules for i in imports(m) if i.split(".")[0] == "appl_dist"}
+    assert {i for i in ours if not any(i == a or i.startswith(a + ".") for a in allowed)} == set()
+    others = {i.split(".")[0] for m in modules for i in imports(m)} - {"appl_dist", "numpy"}
+    assert others <= sys.stdlib_module_names
 
 
 @pytest.mark.parametrize("leaf", ["spec.py", "errors.py"])

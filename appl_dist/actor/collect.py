@@ -15,9 +15,10 @@ import numpy as np
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.exploration import ExplorationSettings, explore
-from appl_dist.actor.policy import MLPPolicy, policy_from_file
 from appl_dist.actor.rollout import collect
 from appl_dist.errors import UserError
+from appl_dist.policy.load import policy_from_file
+from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import FloatArray
 from appl_dist.wire.codec import encode_rollout

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from appl_dist.actor.env import NavigationEnv
-from appl_dist.actor.policy import load_policy
 from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.rollout import EpisodeResult, run_episode
 from appl_dist.errors import UserError
 from appl_dist.evaluate.trials import Job, Method, Trial, encode_trace
+from appl_dist.policy.load import load_policy
 from appl_dist.sim.worlds import World
 from appl_dist.spec import DWA, SPACES, ParameterSpace
 

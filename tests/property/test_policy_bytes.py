@@ -10,8 +10,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from appl_dist.actor.policy import policy_from_file
 from appl_dist.errors import UserError
+from appl_dist.policy.load import policy_from_file
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import DWA, OBSERVATION_SIZE
 

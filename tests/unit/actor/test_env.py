@@ -11,9 +11,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from appl_dist.actor.env import NavigationEnv
-from appl_dist.actor.policy import default_policy, load_policy
 from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.rollout import collect, run_episode
+from appl_dist.policy.fixed import default_policy
+from appl_dist.policy.load import load_policy
 from appl_dist.sim.generator import generate_worlds
 from appl_dist.sim.worlds import World
 from appl_dist.spec import BEARING, DWA, PARAMETERS, SCAN

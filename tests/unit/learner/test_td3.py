@@ -10,12 +10,12 @@ import pytest
 import torch
 from torch import nn
 
-from appl_dist.actor.policy import MLPPolicy
 from appl_dist.errors import UserError
 from appl_dist.learner import td3
 from appl_dist.learner.row_layout import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3, Diverged, read
+from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import OBSERVATION_SIZE
 

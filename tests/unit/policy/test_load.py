@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appl_dist.actor.policy import PUBLISHED_SETS, MLPPolicy, StaticPolicy, load_policy, policy_from_file
 from appl_dist.errors import UserError
+from appl_dist.policy.fixed import PUBLISHED_SETS, StaticPolicy
+from appl_dist.policy.load import load_policy, policy_from_file
+from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import DWA, DWA_WIDE, OBSERVATION_SIZE
 
@@ -86,7 +88,9 @@ def test_a_set_changes_what_it_names_and_keeps_the_defaults() -> None:
         ("set:max_vel_x=3", r"max_vel_x = 3; dwa allows 0\.2\.\.2"),
         ("set:max_vel_x=nan", "max_vel_x = nan; dwa allows"),
         ("set:vx_samples=4.5", "vx_samples = 4.5; it must be a whole number"),
-        ("appli:Z9", "no such file, nor a name. Allowed: default, appli:A1"),
+        ("appli:Z9", "not a published set; allowed appli:A1, appli:A2"),
+        ("nowhere", "no such file, nor a name. Allowed: appli:A1"),
+        ("default:now", "default takes nothing after its name"),
     ],
 )
 def test_a_spec_that_means_nothing_is_explained(spec: str, message: str) -> None:
@@ -105,5 +109,5 @@ def test_files_load_as_what_they_hold_and_only_for_their_space(tmp_path: Path) -
 
 
 def test_policies_import_no_torch() -> None:
-    code = "import sys, appl_dist.actor.policy; sys.exit('torch' in sys.modules or 'scipy' in sys.modules)"
+    code = "import sys, appl_dist.policy.load; sys.exit('torch' in sys.modules or 'scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
