@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import signal
 import sys
 from collections.abc import Callable
 
-from appl_dist.errors import UserError
-from appl_dist.terminal import start_logging
+from appl_dist.errors import PARENT_VARIABLE, PASSING, USER_ERROR, PassingFault, UserError
+from appl_dist.terminal import prepare_streams, printable, start_logging
+
+log = logging.getLogger(__name__)
 
 ROLES = {
     "train": "run a learner and its actors on this machine, then evaluate the policy",
@@ -27,6 +31,18 @@ ROLES = {
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Run one role; the exit status. 2: a user's mistake, in one sentence on standard error."""
+    prepare_streams()
+    try:
+        status = _main(argv)
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    return status
+
+
+def _main(argv: list[str] | None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_usage())
@@ -40,7 +56,15 @@ def main(argv: list[str] | None = None) -> int:
             raise UserError(f"role {role!r}: expected one of {', '.join(ROLES)}")
         return _run(role, rest)
     except UserError as error:
-        print(f"appl-dist {role}: {error}", file=sys.stderr)
+        print(f"appl-dist {printable(role)}: {printable(str(error))}", file=sys.stderr)
+        # A launcher gives up on a child that keeps failing, unless the reason may pass.
+        return PASSING if isinstance(error, PassingFault) and PARENT_VARIABLE in os.environ else USER_ERROR
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"appl-dist {role}: {where}{error.strerror or error}", file=sys.stderr)
+        log.debug("where it happened", exc_info=True)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -220,7 +220,7 @@ def load_continued(folder: Path, arguments: Sequence[str] = ()) -> Settings:
 def read_frozen(file: Path, what: str) -> dict[str, Any]:
     """The configuration in a JSON file; UserError naming `what` asked for it."""
     try:
-        frozen = json.loads(file.read_text())
+        frozen = json.loads(file.read_text("utf-8"))
     except OSError as error:
         raise UserError(f"{what}: {file} cannot be read: {error.strerror}") from None
     except ValueError as error:

@@ -1,8 +1,10 @@
-"""Files written whole or not at all. Leaf: the standard library and errors only."""
+"""Files written whole or not at all, and locks on them. Leaf: the standard library and errors only."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import os
 import secrets
 from pathlib import Path
@@ -37,7 +39,7 @@ def write_new(path: Path, data: str) -> bool:
     """Make `path` with `data`, whole and on the disk; False if it exists, which then stays as it is."""
     partial = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        partial.write_text(data)
+        partial.write_text(data, "utf-8")
         to_disk(partial)
         os.link(partial, path)  # fails where the name is taken, whoever was first
         to_disk(path.parent)
@@ -49,6 +51,24 @@ def write_new(path: Path, data: str) -> bool:
         with contextlib.suppress(OSError):
             partial.unlink()
     return True
+
+
+def lock(descriptor: int, path: Path, held: str) -> None:
+    """Take the only lock on an open file; the kernel drops it with the process, however that ends.
+
+    UserError with the sentence `held` if another process has it, or that the file system has no locks.
+    """
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise UserError(held) from None
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL):
+            raise
+        raise UserError(
+            f"{path}: this file system has no locks ({error.strerror}), which keep two processes apart; use a folder "
+            "on one that has, such as a local disk, NFS 4, or Lustre mounted with -o flock"
+        ) from None
 
 
 def to_disk(path: Path) -> None:

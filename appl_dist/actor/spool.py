@@ -11,7 +11,6 @@ tore is found by its checksum at the next start and dropped.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import logging
 import os
@@ -24,7 +23,8 @@ from typing import Any
 
 from appl_dist.actor.produced_log import ProducedLog
 from appl_dist.errors import UserError
-from appl_dist.files import write_atomic
+from appl_dist.files import lock, write_atomic
+from appl_dist.terminal import printable
 from appl_dist.wire import receipt as receipts
 from appl_dist.wire.receipt import Receipt
 
@@ -286,14 +286,13 @@ class Spool:
 def _lock(folder: Path) -> int:
     """A descriptor holding the folder's lock; the kernel drops it with the process, however that ends."""
     descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    holder = printable(os.pread(descriptor, 32, 0).decode(errors="replace").strip()) or "unknown"
+    held = f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
+        lock(descriptor, folder / "lock", held)
+    except UserError as error:
         os.close(descriptor)
-        raise SpoolInUse(
-            f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
-        ) from error
+        raise (SpoolInUse if str(error) == held else UserError)(str(error)) from None
     os.truncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
     return descriptor

@@ -50,7 +50,7 @@ def _published_split(path: Path, split: str) -> list[int] | None:
     if not file.is_file():
         return None
     try:
-        found = json.loads(file.read_text())["heldout" if split == "test" else split]
+        found = json.loads(file.read_text("utf-8"))["heldout" if split == "test" else split]
         return [int(i) for i in found]
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{file}: expected lists 'train' and 'heldout' of world indices; {error}") from None

@@ -114,7 +114,7 @@ def read_head(folder: Path) -> Head:
     """evaluation.json of `folder`. Raises UserError."""
     file = folder / HEAD_FILE
     try:
-        plain = json.loads(file.read_text())
+        plain = json.loads(file.read_text("utf-8"))
         if plain["version"] != VERSION:
             raise UserError(f"{file}: is of format {plain['version']}, this version reads {VERSION}; evaluate anew")
         return Head(
@@ -161,7 +161,7 @@ def _courses_text(courses: Sequence[Course]) -> str:
 def _read_courses(folder: Path) -> dict[int, Course]:
     file = folder / COURSES_FILE
     try:
-        rows = list(csv.DictReader(io.StringIO(file.read_text())))
+        rows = list(csv.DictReader(io.StringIO(file.read_text("utf-8"))))
         found = [
             Course(
                 int(r["world"]),

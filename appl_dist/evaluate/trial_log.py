@@ -13,7 +13,6 @@ the same bits back. A lock keeps a second evaluation out of the folder.
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import logging
 import os
@@ -25,6 +24,7 @@ from types import TracebackType
 from typing import Any, get_type_hints
 
 from appl_dist.errors import UserError
+from appl_dist.files import lock
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class TrialLog:
         except OSError as error:
             raise UserError(f"{path}: {error.strerror}; choose a folder that can be written") from None
         try:
-            self._lock()
+            lock(self._fd, path, f"{path}: another evaluation is writing here; wait or use another folder")
             self._read()
         except BaseException:
             os.close(self._fd)
@@ -90,12 +90,6 @@ class TrialLog:
                 raise UserError(f"{self.path}: world {job.world} was another course then; use another folder")
             found[job.key] = row
         return found
-
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise UserError(f"{self.path}: another evaluation is writing here; wait or use another folder") from None
 
     def _read(self) -> None:
         with open(self._fd, "rb", closefd=False) as file:

@@ -9,7 +9,7 @@ from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.world_split import select_worlds
 from appl_dist.config import Settings
 from appl_dist.errors import UserError
-from appl_dist.planner.parameters import Arithmetic
+from appl_dist.planner.parameters import Arithmetic, PlannerSettings
 from appl_dist.sim.worlds import World
 from appl_dist.spec import SPACES
 
@@ -35,10 +35,17 @@ def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = No
 
 
 def check_environment(settings: Settings) -> None:
-    """Build once what every actor builds. UserError: worlds, planner, robot or timing that cannot be."""
+    """Build once what every actor and worker builds. UserError: worlds, planner, robot or timing that cannot be."""
     worlds_of(settings, settings.evaluation.worlds)
     worlds = worlds_of(settings, settings.world.train)
     try:
-        NavigationEnv(worlds[:1], protocol=settings.protocol, **environment_arguments(settings)).close()
+        env = NavigationEnv(worlds[:1], protocol=settings.protocol, **environment_arguments(settings))
+        env.reset(seed=0)
+        env.close()
     except (ValueError, OverflowError, MemoryError) as error:
-        raise UserError(str(error) or "planner: the maps do not fit into memory") from None
+        sentence = str(error) or "planner: the maps do not fit into memory"
+        field = sentence.partition(":")[0]
+        if field == "pose":
+            sentence = f"protocol.start_x_m, protocol.start_y_m: {sentence.partition(': ')[2]}"
+        group = "planner." if field in PlannerSettings.__dataclass_fields__ else ""
+        raise UserError(f"{group}{sentence}") from None

@@ -14,7 +14,7 @@ from rich.console import Console
 from appl_dist.actor.world_split import select_worlds, split_groups
 from appl_dist.config import Settings, as_dict, cores
 from appl_dist.evaluate.workers import Crew
-from appl_dist.launch.environment import environment_arguments
+from appl_dist.launch.environment import check_environment, environment_arguments
 from appl_dist.launch.report_commands import open_env
 from appl_dist.launch.runs import new_id
 from appl_dist.launch.view import make_console
@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 def evaluate(settings: Settings) -> int:
     """Compare the configured methods; prints tables, writes trials, tables, figures and the report."""
     folder = Path(settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S"))
+    check_environment(settings)
     with _terminable():
         try:
             evaluate_methods(settings, list(settings.evaluation.methods.items()), folder, make_console())

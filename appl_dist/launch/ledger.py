@@ -108,7 +108,7 @@ def _account(log: list[Produced], pending: set[str], held: list[tuple[int, recei
 
 def _actor_of(folder: Path) -> str:
     try:
-        return str(json.loads((folder / "spool.json").read_text())["owner"]).rsplit("/", 1)[-1]
+        return str(json.loads((folder / "spool.json").read_text("utf-8"))["owner"]).rsplit("/", 1)[-1]
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise UserError(f"{folder}: not a spool folder ({error})") from None
 

@@ -15,11 +15,11 @@ from rich.console import Console
 from rich.live import Live
 
 from appl_dist.config import CONFIG_FILE, Settings, cores
-from appl_dist.errors import UserError
+from appl_dist.errors import USER_ERROR, UserError
 from appl_dist.launch import view
 from appl_dist.launch.evaluation import evaluate_methods
 from appl_dist.launch.ledger import run_ledger
-from appl_dist.launch.processes import USER_ERROR, Child, stop_all
+from appl_dist.launch.processes import Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, open_spool, stop_event
 from appl_dist.launch.runs import prepare, require_run
 from appl_dist.overrides import quoted

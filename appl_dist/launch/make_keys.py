@@ -67,7 +67,7 @@ def make_keys(folder: Path, hosts: list[str], actors: list[str], days: int = 90)
         if not actors and not users.exists():
             actors = [ACTOR]
         names = [name for name in (LEARNER, VIEWER, *actors) if not (folder / name / PASSWORD_FILE).exists()]
-        listed = users.read_text() if users.exists() else ""
+        listed = users.read_text("utf-8") if users.exists() else ""
         for name in names:
             authority.issue(folder / name, [*hosts, *_ALWAYS] if name == LEARNER else [])
             password = secrets.token_urlsafe(_PASSWORD_BYTES)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,10 +13,11 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from appl_dist.errors import PARENT_VARIABLE, PASSING, UserError
+
 log = logging.getLogger(__name__)
 
-PARENT_VARIABLE = "APPL_DIST_PARENT"
-USER_ERROR = 2  # exit status of a user's mistake: restarting would only repeat it
+LASTING_DEATHS = 3  # deaths in a row with the same last words that end a run
 MAX_BACKOFF_S = 30.0
 HEALTHY_S = 20.0  # a child that lived this long starts again at once
 PR_SET_PDEATHSIG = 1
@@ -42,6 +44,7 @@ class Child:
     restarts: int = 0
     started_at: float = 0.0
     retry_at: float = 0.0
+    deaths: list[str] = field(default_factory=list)  # last words of those that died young, in a row
     backoff_s: float = field(default=1.0)
 
     def start(self) -> None:
@@ -65,7 +68,10 @@ class Child:
         return lines[-1] if lines else "no output"
 
     def supervise(self) -> None:
-        """Restart the process if it died, with a back-off that doubles while it keeps dying young."""
+        """Restart the process if it died, with a back-off that doubles while it keeps dying young.
+
+        UserError: it died young LASTING_DEATHS times in the same way, so that another start would only repeat it.
+        """
         now = time.monotonic()
         if self.retry_at:
             if now >= self.retry_at:
@@ -76,9 +82,24 @@ class Child:
         code = self.returncode()
         if code is None or code == 0:
             return
+        self._note_death(code, young=now - self.started_at <= HEALTHY_S)
         self.backoff_s = 1.0 if now - self.started_at > HEALTHY_S else min(2.0 * self.backoff_s, MAX_BACKOFF_S)
         self.retry_at = now + self.backoff_s
         log.warning("%s died with status %s; starts again in %.0f s", self.name, code, self.backoff_s)
+
+    def _note_death(self, code: int, young: bool) -> None:
+        """Tell a lasting fault from a passing one. What others did to the process (kill, cluster) says nothing."""
+        if not young or code == PASSING or code in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT):
+            self.deaths.clear()
+            return
+        words = f"status {code}: {self.last_words()}"
+        if self.deaths and _without_numbers(words) != _without_numbers(self.deaths[-1]):
+            self.deaths.clear()
+        self.deaths.append(words)
+        if len(self.deaths) >= LASTING_DEATHS:
+            raise UserError(
+                f"{self.name} ended {len(self.deaths)} times in the same way, with {words}; see {self.log_file}"
+            )
 
     def signal(self, number: int) -> None:
         if self.process is not None and self.process.poll() is None:
@@ -93,6 +114,11 @@ class Child:
         except subprocess.TimeoutExpired:
             return False
         return True
+
+
+def _without_numbers(text: str) -> str:
+    """`text` as far as two deaths of one cause have it in common: no times, process numbers or addresses."""
+    return re.sub(r"\d+", "", text)
 
 
 def stop_all(children: list[Child], timeout_s: float) -> None:

@@ -20,7 +20,7 @@ from appl_dist.actor.collect import Explorer, act
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.spool import Spool, SpoolInUse
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
-from appl_dist.errors import UserError
+from appl_dist.errors import PassingFault, UserError
 from appl_dist.launch.environment import EVALUATION, environment_arguments, worlds_of
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import announce, announce_gone, prepare, require_run, run_id_of, whereabouts
@@ -232,7 +232,7 @@ def act_in_run(
         if not uploader.close(DRAIN_S):
             log.warning("%d rollouts stay in %s; the next start of this actor sends them", len(spool), spool.folder)
         if patience.is_over():
-            raise UserError(f"no learner of run {run_id} for {settings.actor.patience_min:g} minutes")
+            raise PassingFault(f"no learner of run {run_id} for {settings.actor.patience_min:g} minutes")
         return made
     finally:
         for part in (uploader, control, weights, presence, env):

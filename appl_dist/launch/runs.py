@@ -122,7 +122,7 @@ def whereabouts(folder: Path) -> Whereabouts:
     if not folder.is_dir():
         raise UserError(f"actor.run: no folder at {folder}; it is a run's, as the learner has it (run.folder)")
     try:
-        values = json.loads((folder / LEARNER_FILE).read_text())
+        values = json.loads((folder / LEARNER_FILE).read_text("utf-8"))
         return Whereabouts(str(values["endpoint"]), bool(values["ended"]))
     except FileNotFoundError:
         return Whereabouts("", ended=False)

@@ -240,7 +240,7 @@ class Learner:
 def _read_json(file: Path) -> Any:
     """What the file holds; None if that is not JSON."""
     try:
-        return json.loads(file.read_text())
+        return json.loads(file.read_text("utf-8"))
     except ValueError:
         return None
 

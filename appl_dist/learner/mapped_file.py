@@ -7,7 +7,6 @@ Stores survive the death of the process (the kernel owns the pages); only `sync`
 
 from __future__ import annotations
 
-import fcntl
 import json
 import mmap
 import os
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
-from appl_dist.files import write_atomic
+from appl_dist.files import lock, write_atomic
 
 CHUNK_BYTES = 8 << 20
 
@@ -100,15 +99,12 @@ class FolderClaim:
         except OSError as e:
             raise UserError(f"replay folder {folder}: cannot be used: {e.strerror}") from None
         try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(self._fd, folder / "lock", f"replay folder {folder}: another learner is using it")
             if (folder / "meta.json").exists():
                 self._check()
             else:
                 for name in files:
                     (folder / name).unlink(missing_ok=True)
-        except BlockingIOError:
-            self.release()
-            raise UserError(f"replay folder {folder}: another learner is using it") from None
         except BaseException:
             self.release()
             raise
@@ -125,7 +121,7 @@ class FolderClaim:
 
     def _check(self) -> None:
         try:
-            found = json.loads((self.folder / "meta.json").read_text())
+            found = json.loads((self.folder / "meta.json").read_text("utf-8"))
         except (OSError, ValueError) as e:
             raise UserError(f"replay folder {self.folder}: meta.json cannot be read: {e}") from None
         for key, wanted in self.meta.items():

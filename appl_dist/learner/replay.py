@@ -61,7 +61,7 @@ class Replay(Ring):
     def reopen(cls, folder: str | Path) -> Replay:
         """The replay in `folder` with the sizes it was made with, to look at what it holds. UserError: none there."""
         try:
-            meta = json.loads((Path(folder) / "meta.json").read_text())
+            meta = json.loads((Path(folder) / "meta.json").read_text("utf-8"))
             names = ("capacity", "observation_size", "scan_size", "action_size", "scan_dtype")
             sizes = {name: meta[name] for name in names}
         except (OSError, ValueError, TypeError, KeyError) as e:

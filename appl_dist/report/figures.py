@@ -165,7 +165,7 @@ def read_metrics(path: str | Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[
     line cut short is skipped.
     """
     try:
-        lines = Path(path).read_text().splitlines()
+        lines = Path(path).read_text("utf-8").splitlines()
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}; give the metrics.jsonl of a training run") from None
     rows = []

@@ -8,6 +8,7 @@ matplotlib is imported on first use and never opens a window.
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,6 +49,7 @@ def stacked(count: int, height_in: float, share_x: bool = False) -> tuple[Figure
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     try:
+        os.environ["MPLBACKEND"] = "agg"  # what a notebook has set there may not be importable here
         import matplotlib
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

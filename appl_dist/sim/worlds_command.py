@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from pathlib import Path
 
@@ -144,6 +145,7 @@ def _write_npz(file: Path, **arrays: NDArray | np.floating) -> None:
 def draw_world(world: World, out: Path) -> None:
     """PNG of a course: obstacles, where the robot's centre cannot be, and the reference path."""
     try:
+        os.environ["MPLBACKEND"] = "agg"  # what a notebook has set there may not be importable here
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import PatchCollection
         from matplotlib.figure import Figure

@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from appl_dist.errors import UserError
+from appl_dist.errors import PassingFault, UserError
 from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message, Query
@@ -191,7 +191,7 @@ def _ask(bus: Bus, key: str, limit: int, timeout_s: float) -> dict[str, Any]:
         if answer is not None:
             break
         if time.monotonic() >= deadline:
-            raise UserError(
+            raise PassingFault(
                 f"no learner answered within {timeout_s:g} s; it is starting, gone, or does not let this process ask"
             )
         time.sleep(0.05)  # connected, but nobody serves the key yet

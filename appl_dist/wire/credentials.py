@@ -56,14 +56,14 @@ class Identity:
 
     def password(self) -> tuple[str, str]:
         """(user, password)."""
-        user, _, password = Path(self.path(PASSWORD_FILE)).read_text().strip().partition(":")
+        user, _, password = Path(self.path(PASSWORD_FILE)).read_text("utf-8").strip().partition(":")
         if not (user and password):
             raise UserError(f"wire.keys: {self.folder / PASSWORD_FILE} should hold one line, NAME:PASSWORD")
         return user, password
 
     def users(self) -> list[str]:
         """Names of all identities of the run; only the learner has the list."""
-        lines = Path(self.path(USERS_FILE)).read_text().split()
+        lines = Path(self.path(USERS_FILE)).read_text("utf-8").split()
         names = [line.partition(":")[0] for line in lines]
         wrong = [name for name in names if not is_name(name)]
         if wrong:

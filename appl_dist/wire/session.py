@@ -16,7 +16,7 @@ from typing import Any
 
 import zenoh
 
-from appl_dist.errors import UserError
+from appl_dist.errors import PassingFault, UserError
 from appl_dist.wire.access import access_control, rate_limits, size_limits
 from appl_dist.wire.bus import Handle, Message, Query
 from appl_dist.wire.credentials import CA_FILE, CERTIFICATE_FILE, KEY_FILE, LEARNER, USERS_FILE, Identity, find
@@ -39,7 +39,7 @@ def open_session(settings: WireSettings, listen: bool, identity: str = "") -> Se
     try:
         return Session(_open(config))
     except zenoh.ZError as error:
-        raise UserError(_why(settings, listen, str(error))) from error
+        raise (UserError if listen else PassingFault)(_why(settings, listen, str(error))) from error
 
 
 def _open(config: zenoh.Config) -> zenoh.Session:

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
-from appl_dist.errors import UserError
+from appl_dist.errors import PassingFault, UserError
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.codec import (
@@ -90,7 +90,7 @@ class Uploader:
             if self.refused:
                 raise UserError(self.refused)
             if self._clock() > deadline:
-                raise UserError(f"no learner of run {self.run_id} answered within {timeout_s:g} s")
+                raise PassingFault(f"no learner of run {self.run_id} answered within {timeout_s:g} s")
             if not self._greeted:
                 self._closing.wait(0.1)
         self._thread.start()
