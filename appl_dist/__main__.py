@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import signal
@@ -9,7 +10,8 @@ import sys
 from collections.abc import Callable
 
 from appl_dist.errors import PARENT_VARIABLE, PASSING, USER_ERROR, PassingFault, UserError
-from appl_dist.terminal import prepare_streams, printable, start_logging
+from appl_dist.files import explain
+from appl_dist.terminal import discard_output, prepare_streams, printable, start_logging
 
 log = logging.getLogger(__name__)
 
@@ -36,9 +38,15 @@ def main(argv: list[str] | None = None) -> int:
     try:
         status = _main(argv)
         sys.stdout.flush()
+        sys.stderr.flush()
     except BrokenPipeError:  # whoever read our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_output()
         return 128 + signal.SIGPIPE
+    except OSError as error:  # a full disk behind our output
+        with contextlib.suppress(OSError):
+            print(f"appl-dist: the output cannot be written: {explain(error)}", file=sys.stderr, flush=True)
+        discard_output()
+        return USER_ERROR
     return status
 
 
@@ -62,10 +70,11 @@ def _main(argv: list[str] | None) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        print(f"appl-dist {role}: {where}{error.strerror or error}", file=sys.stderr)
+        if error.filename is None:
+            raise
+        print(f"appl-dist {printable(role)}: {printable(str(error.filename))}: {explain(error)}", file=sys.stderr)
         log.debug("where it happened", exc_info=True)
-        return 2
+        return USER_ERROR
     except KeyboardInterrupt:
         return 130
 

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
-from hydra.errors import HydraException
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -202,13 +202,15 @@ def load_continued(folder: Path, arguments: Sequence[str] = ()) -> Settings:
     given = compose_dict(arguments)
     for argument in arguments:
         key = argument.lstrip("~+").partition("=")[0]
-        *groups, last = key.split(".")
+        *groups, last = overrides.path(Settings, key)
         now, then = given, frozen
         for group in groups:
             now, then = now[group], then.setdefault(group, {})
         value = now.get(last)
         if any(key == name or key.startswith(f"{name}.") for name in CHANGEABLE):
             then[last] = value
+            if argument.startswith("~"):
+                del then[last]
         elif value != then.get(last):
             raise UserError(
                 f"{key}: got {value!r}, the run in {folder} has {then.get(last)!r}; a continued run may change only "
@@ -239,7 +241,7 @@ def _with_overrides(frozen: dict[str, Any], arguments: Sequence[str]) -> dict[st
     return _assigned(merged, texts)
 
 
-def _assigned(composed: Any, texts: Sequence[tuple[str, str]]) -> dict[str, Any]:
+def _assigned(composed: Any, texts: Sequence[tuple[str, overrides.Text]]) -> dict[str, Any]:
     plain: dict[str, Any] = composed
     for key, text in texts:
         overrides.assign(plain, key, text, Settings)
@@ -342,6 +344,9 @@ def _sentence(error: BaseException) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     key = getattr(cause, "full_key", None)
     first = " ".join(line.strip() for line in str(cause).splitlines()[:1])
+    if isinstance(error, OverrideParseException) and error.override.partition("=")[0] not in first:
+        name, _, value = error.override.partition("=")
+        return f"{name}: cannot read {value!r}: {first}; a value with special characters needs quotes: \"{name}='…'\""
     choice = re.search(r"Could not find '(\w+)/([^']*)'", first)
     if choice:
         allowed = ", ".join(sorted(f.stem for f in (CONF / choice[1]).glob("*.yaml")))

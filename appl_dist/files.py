@@ -11,14 +11,35 @@ from pathlib import Path
 
 from appl_dist.errors import UserError
 
+_ADVICE = {
+    errno.ENOSPC: "free some space or choose another folder",
+    errno.EDQUOT: "free some of your quota or choose another folder",
+    errno.EACCES: "choose a folder that you may use",
+    errno.EPERM: "choose a folder that you may use",
+    errno.EROFS: "choose a folder that can be written",
+    errno.ENOENT: "check the path",
+    errno.EEXIST: "a file has this name; choose another folder",
+    errno.ENOTDIR: "part of this path is a file; choose another folder",
+    errno.EISDIR: "this is a folder; give a file",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ELOOP: "its links lead in a circle; choose another folder",
+    errno.EMFILE: "allow more open files (ulimit -n) or start fewer processes",
+    errno.ENFILE: "this machine has too many open files; start fewer processes",
+    errno.EIO: "the disk or network behind it fails; choose another folder",
+    errno.ESTALE: "the network folder behind it is gone; mount it again",
+}
 
-def write_atomic(
-    path: Path, data: str | bytes, advice: str = "free some space or choose another folder", sync: bool = False
-) -> None:
+
+def explain(error: OSError) -> str:
+    """What the system said, and what to do about it: "Permission denied; choose a folder that you may use"."""
+    return f"{error.strerror or error}; {_ADVICE.get(error.errno or 0, 'choose another folder')}"
+
+
+def write_atomic(path: Path, data: str | bytes, sync: bool = False) -> None:
     """Replace `path` by `data`, making its folder; a reader sees the old file or the new one, never half of one.
 
-    sync: return when it is on the disk, so that it survives a power cut. UserError, ending in `advice`, if it cannot be
-    written; then nothing has changed.
+    sync: return when it is on the disk, so that it survives a power cut. UserError if it cannot be written; then
+    nothing has changed.
     """
     partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
@@ -32,7 +53,7 @@ def write_atomic(
     except OSError as error:
         with contextlib.suppress(OSError):
             partial.unlink()
-        raise UserError(f"{path}: cannot be written ({error.strerror}); {advice}") from None
+        raise UserError(f"{path}: cannot be written: {explain(error)}") from None
 
 
 def write_new(path: Path, data: str) -> bool:
@@ -46,7 +67,7 @@ def write_new(path: Path, data: str) -> bool:
     except FileExistsError:
         return False
     except OSError as error:
-        raise UserError(f"{path}: cannot be written ({error.strerror}); choose another folder") from None
+        raise UserError(f"{path}: cannot be written: {explain(error)}") from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink()

@@ -14,52 +14,82 @@ from typing import Any
 
 from appl_dist.errors import UserError
 
+Text = str | list[str]
+
 _ARGUMENT = re.compile(r"([~+]{0,2})([A-Za-z_][\w/.@-]*)(=.*)?", re.DOTALL)
+_ITEM = re.compile(r"""\s*('(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|[^,'"\[\]]+?)\s*(?:,|$)""", re.DOTALL)
 _INTERPOLATION = re.compile(r"\$\{[^}]*\}")  # Hydra's, as in ${oc.env:USER}
 
 
-def split(overrides: Sequence[str], schema: type) -> tuple[list[tuple[str, str]], list[str]]:
-    """(key, text) of the text keys of the dataclass `schema`, and the other arguments for Hydra.
+def split(overrides: Sequence[str], schema: type) -> tuple[list[tuple[str, Text]], list[str]]:
+    """(key, text or texts) of the text keys of the dataclass `schema`, and the other arguments for Hydra.
 
     UserError: an argument that is no key=value.
     """
-    texts, others = [], []
+    texts: list[tuple[str, Text]] = []
+    others = []
     for override in overrides:
         match = _ARGUMENT.fullmatch(override)
         if match is None or (match[3] is None and not match[1].startswith("~")):
             raise UserError(f"argument {override!r}: expected key=value, as in run.transitions=50000")
         key, value = match[2], (match[3] or "")[1:]
-        if match[1] in ("", "+", "++") and is_text(schema, key) and not _INTERPOLATION.search(value):
-            texts.append((key, unquoted(value)))
-        else:
+        text: Text | None = None
+        if match[1] in ("", "+", "++") and not _INTERPOLATION.search(value):
+            hint = _hint(schema, key)
+            if hint is str or typing.get_origin(hint) is typing.Literal:
+                text = unquoted(value)
+            elif hint == tuple[str, ...]:
+                text = _listed(value)
+        if text is None:
             others.append(override)
+        else:
+            texts.append((key, text))
     return texts, others
 
 
-def is_text(schema: type, key: str) -> bool:
-    """Whether `key` names a field of type str, or an entry of a map of them."""
+def path(schema: type, key: str) -> list[str]:
+    """The names along `key`; what follows a map's name is one entry, dots included."""
     hint: Any = schema
-    parts = key.split(".")
-    for at, part in enumerate(parts):
+    names = key.split(".")
+    for at, name in enumerate(names):
         if typing.get_origin(hint) is dict:
-            return typing.get_args(hint)[1] is str and all(parts[at:])
-        if not dataclasses.is_dataclass(hint) or part not in (hints := typing.get_type_hints(hint)):
-            return False
-        hint = hints[part]
-    return hint is str or typing.get_origin(hint) is typing.Literal
+            return [*names[:at], ".".join(names[at:])]
+        hint = _field(hint, name)
+    return names
 
 
-def assign(plain: dict[str, Any], key: str, text: str, schema: type) -> None:
-    """Set `key` in nested maps; what follows a map's name is one entry, dots included."""
-    hint: Any = schema
-    *groups, last = key.split(".")
-    for at, group in enumerate(groups):
-        hint = typing.get_type_hints(hint)[group]
+def assign(plain: dict[str, Any], key: str, text: Text, schema: type) -> None:
+    """Set `key` in nested maps."""
+    *groups, last = path(schema, key)
+    for group in groups:
         plain = plain.setdefault(group, {})
-        if typing.get_origin(hint) is dict:
-            last = ".".join([*groups[at + 1 :], last])
-            break
     plain[last] = text
+
+
+def _hint(schema: type, key: str) -> Any:
+    """The type of what `key` names; None if it names nothing."""
+    hint: Any = schema
+    for name in path(schema, key):
+        hint = typing.get_args(hint)[1] if typing.get_origin(hint) is dict and name else _field(hint, name)
+    return hint
+
+
+def _field(hint: Any, name: str) -> Any:
+    return typing.get_type_hints(hint).get(name) if dataclasses.is_dataclass(hint) else None
+
+
+def _listed(value: str) -> list[str] | None:
+    """The texts in "[a, 'b,c']"; None if that is no such list."""
+    if not (value.startswith("[") and value.endswith("]")):
+        return None
+    items, at, inside = [], 0, value[1:-1].strip()
+    while at < len(inside):
+        match = _ITEM.match(inside, at)
+        if match is None:
+            return None
+        items.append(unquoted(match[1]))
+        at = match.end()
+    return items
 
 
 def quoted(key: str, value: object) -> str:

@@ -38,6 +38,17 @@ def prepare_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+def discard_output() -> None:
+    """Send what is still buffered for the standard streams to nowhere: the interpreter flushes them when it ends."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
 def start_logging(role: str) -> None:
     """Log this process's messages to standard error, ours from INFO on."""
     handler = logging.StreamHandler()

@@ -23,7 +23,7 @@ from typing import Any
 
 from appl_dist.actor.produced_log import ProducedLog
 from appl_dist.errors import UserError
-from appl_dist.files import lock, write_atomic
+from appl_dist.files import explain, lock, write_atomic
 from appl_dist.terminal import printable
 from appl_dist.wire import receipt as receipts
 from appl_dist.wire.receipt import Receipt
@@ -280,7 +280,7 @@ class Spool:
         write_atomic(path, data, sync=self._sync)
 
     def _cannot_write(self, error: OSError) -> UserError:
-        return UserError(f"spool {self.folder}: cannot write ({error.strerror}); free space or use another folder")
+        return UserError(f"spool {self.folder}: cannot be written: {explain(error)}")
 
 
 def _lock(folder: Path) -> int:

@@ -24,7 +24,7 @@ from types import TracebackType
 from typing import Any, get_type_hints
 
 from appl_dist.errors import UserError
-from appl_dist.files import lock
+from appl_dist.files import explain, lock
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ class TrialLog:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise UserError(f"{path}: {error.strerror}; choose a folder that can be written") from None
+            raise UserError(f"{path}: cannot be written: {explain(error)}") from None
         try:
             lock(self._fd, path, f"{path}: another evaluation is writing here; wait or use another folder")
             self._read()

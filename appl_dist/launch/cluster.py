@@ -60,10 +60,15 @@ def launch(settings: Settings) -> int:
 
 
 def _submit(script: Path) -> str:
-    """The number of the job."""
+    """The number of the job, which starts in the run's folder."""
     try:
         done = subprocess.run(
-            ["sbatch", "--parsable", str(script)], capture_output=True, text=True, timeout=SUBMIT_S, check=False
+            ["sbatch", "--parsable", str(script)],
+            cwd=script.parent.parent,
+            capture_output=True,
+            text=True,
+            timeout=SUBMIT_S,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         raise UserError(f"sbatch did not answer within {SUBMIT_S:.0f} s") from None

@@ -16,16 +16,19 @@ from appl_dist.config import Settings, as_dict, cores
 from appl_dist.evaluate.workers import Crew
 from appl_dist.launch.environment import check_environment, environment_arguments
 from appl_dist.launch.report_commands import open_env
-from appl_dist.launch.runs import new_id
+from appl_dist.launch.runs import listen, make_folder, new_id
 from appl_dist.launch.view import make_console
 
 log = logging.getLogger(__name__)
 
+DEFAULT_FOLDER = "runs/evaluation-%Y%m%d-%H%M%S"
+
 
 def evaluate(settings: Settings) -> int:
     """Compare the configured methods; prints tables, writes trials, tables, figures and the report."""
-    folder = Path(settings.evaluation.folder or time.strftime("runs/evaluation-%Y%m%d-%H%M%S"))
     check_environment(settings)
+    named = settings.evaluation.folder
+    folder = Path(named) if named else make_folder(Path(time.strftime(DEFAULT_FOLDER)), "evaluation.folder")
     with _terminable():
         try:
             evaluate_methods(settings, list(settings.evaluation.methods.items()), folder, make_console())
@@ -70,9 +73,8 @@ def _workers(settings: Settings, folder: Path) -> Iterator[int | Crew]:
         yield settings.evaluation.workers or cores()
         return
     from appl_dist.launch.distributed_evaluation import SpreadCrew
-    from appl_dist.wire.session import open_session
 
-    with open_session(settings.wire, listen=True) as session:
+    with listen(settings.wire) as session:
         log.info("trials wait for actors: appl-dist actors wire.endpoint=%s", settings.wire.endpoint)
         yield SpreadCrew(session, new_id(folder), settings)
 

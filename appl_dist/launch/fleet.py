@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from appl_dist.config import Settings, cores
+from appl_dist.errors import UserError
 from appl_dist.launch.processes import Child, die_with_parent, stop_all
 from appl_dist.launch.roles import stop_event
 from appl_dist.launch.runs import Whereabouts, whereabouts
@@ -34,6 +35,8 @@ def actors(settings: Settings) -> int:
     run = Path(settings.actor.run) if settings.actor.run else None
     where = Whereabouts("" if run else settings.wire.endpoint, ended=False)
     logs = (run or Path()) / "logs"
+    if run and run.exists() and not run.is_dir():
+        raise UserError(f"actor.run: {run} is a file; it is a run's folder, as the learner has it (run.folder)")
     if run and not run.is_dir():
         log.info("waiting for the learner that makes %s", run)
     crew = [Child(f"{name}-{i}", [], logs / f"{name}-{i}.log") for i in range(settings.actors or cores())]

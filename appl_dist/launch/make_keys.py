@@ -15,6 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from appl_dist.arguments import ArgumentParser
 from appl_dist.errors import UserError
+from appl_dist.files import explain
 from appl_dist.wire.credentials import (
     ACTOR,
     AUTHORITY,
@@ -75,7 +76,7 @@ def make_keys(folder: Path, hosts: list[str], actors: list[str], days: int = 90)
             listed += f"{name}:{password}\n"
         _write(users, listed.encode())
     except OSError as error:
-        raise UserError(f"keys: cannot write {error.filename} ({error.strerror})") from None
+        raise UserError(f"{error.filename or folder}: cannot be written: {explain(error)}") from None
     return names
 
 

@@ -21,9 +21,10 @@ from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.spool import Spool, SpoolInUse
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import PassingFault, UserError
+from appl_dist.files import explain
 from appl_dist.launch.environment import EVALUATION, environment_arguments, worlds_of
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.launch.runs import announce, announce_gone, prepare, require_run, run_id_of, whereabouts
+from appl_dist.launch.runs import announce, announce_gone, listen, prepare, require_run, run_id_of, whereabouts
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -70,14 +71,12 @@ def learner(settings: Settings) -> int:
 
     SIGINT and SIGTERM stop the run and all its actors. SIGUSR1 ends only this process: actors wait for the next one.
     """
-    from appl_dist.wire.session import open_session
-
     die_with_parent()
     stop, leave = stop_event(), leave_event()
     settings, folder = prepare(settings, or_continue=True)
     if not settings.wire.is_loopback and settings.wire.security == "none":
         log.warning("%s: anyone who reaches this port can take part; wire=tls restricts it", settings.wire.endpoint)
-    with open_session(settings.wire, listen=True) as session:
+    with listen(settings.wire) as session:
         try:
             part = build_learner(settings, session)
             try:
@@ -88,8 +87,8 @@ def learner(settings: Settings) -> int:
                 part.close()
         except OSError as error:
             raise UserError(
-                f"run folder: cannot write {error.filename or ''} ({error.strerror}); what was acknowledged is kept, "
-                "free some space and continue with run.resume"
+                f"{error.filename or folder}: cannot be written: {explain(error)}; what was acknowledged is kept, "
+                f"continue with run.resume={folder}"
             ) from None
     return 0
 
@@ -135,14 +134,14 @@ def actor(settings: Settings) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with open_session(wire, listen=False, identity=identity) as session:
         run_id, served = fetch_run(session, LEARNER_AWAY_S)
+        wanted = settings.run.id or (run_id_of(Path(own.run)) if own.run else run_id)
+        require_run(wanted, run_id, wire.connect_endpoint)
         stop = stop_event()  # until here there is nothing to end in order
         if EVALUATION in served:
             from appl_dist.launch.distributed_evaluation import drive_trials
 
             drive_trials(session, run_id, served, own.id or f"{identity}-{os.getpid()}", stop.is_set)
             return 0
-        wanted = settings.run.id or (run_id_of(Path(own.run)) if own.run else run_id)
-        require_run(wanted, run_id, wire.connect_endpoint)
         frozen = from_dict(served)
         with open_spool(own, frozen.actor, run_id, identity, frozen.run.sync) as spool:
             act_in_run(frozen, session, run_id, spool, stop.is_set)

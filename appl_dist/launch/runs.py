@@ -10,15 +10,23 @@ import socket
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from appl_dist.config import CONFIG_FILE, Settings, as_dict, load_continued, read_frozen
 from appl_dist.errors import UserError
-from appl_dist.files import write_atomic, write_new
+from appl_dist.files import explain, write_atomic, write_new
 from appl_dist.launch.environment import check_environment
+from appl_dist.wire.control import fetch_run
+from appl_dist.wire.credentials import VIEWER
 from appl_dist.wire.key_expressions import is_name
+from appl_dist.wire.wire_settings import WireSettings
+
+if TYPE_CHECKING:
+    from appl_dist.wire.session import Session
 
 LEARNER_FILE = "learner.json"
 DEFAULT_FOLDER = "runs/%Y%m%d-%H%M%S"
+ASK_S = 2.0
 _EVERYWHERE = ("0.0.0.0", "[::]")
 
 
@@ -46,31 +54,39 @@ def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Pa
 
 def _create(settings: Settings, folder: Path) -> tuple[Settings, Path]:
     """A new run: whoever makes its configuration file owns the folder."""
-    named = bool(settings.run.folder)
+    if settings.run.folder:
+        _made(folder, "run.folder", exist_ok=True)
+    else:
+        folder = make_folder(folder, "run.folder")
+    run = replace(settings.run, folder=str(folder), id=new_id(folder))
+    horizon = settings.explore.horizon or run.transitions
+    fresh = replace(settings, run=run, explore=replace(settings.explore, horizon=horizon))
+    if not write_new(folder / CONFIG_FILE, json.dumps(as_dict(fresh), indent=2)):
+        raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
+    return fresh, folder
+
+
+def make_folder(folder: Path, key: str) -> Path:
+    """A new folder of this name, or with -2, -3, … behind it where others have taken the name. key: of its setting."""
+    name = folder.name
     for number in itertools.count(2):
-        if _made(folder, exist_ok=named):
-            run = replace(settings.run, folder=str(folder), id=new_id(folder))
-            horizon = settings.explore.horizon or run.transitions
-            fresh = replace(settings, run=run, explore=replace(settings.explore, horizon=horizon))
-            if write_new(folder / CONFIG_FILE, json.dumps(as_dict(fresh), indent=2)):
-                return fresh, folder
-        if named:
-            raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
-        folder = run_folder(settings)
-        folder = folder.with_name(f"{folder.name}-{number}")
+        if _made(folder, key, exist_ok=False):
+            return folder
+        folder = folder.with_name(f"{name}-{number}")
     raise AssertionError("unreachable")
 
 
-def _made(folder: Path, exist_ok: bool) -> bool:
+def _made(folder: Path, key: str, exist_ok: bool) -> bool:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(exist_ok=exist_ok)
-    except FileExistsError:
-        if exist_ok:
-            raise UserError(f"run.folder: {folder} is a file; give a folder") from None
-        return False
+        try:
+            folder.mkdir(exist_ok=exist_ok)
+        except FileExistsError:
+            if exist_ok:
+                raise
+            return False
     except OSError as error:
-        raise UserError(f"run.folder: {folder} cannot be made ({error.strerror}); give another one") from None
+        raise UserError(f"{key}: {folder} cannot be made: {explain(error)}") from None
     return True
 
 
@@ -140,6 +156,21 @@ def require_run(wanted: str, run_id: str, endpoint: str) -> None:
             f"wire.endpoint: the learner at {endpoint} has run {run_id}, not {wanted}; "
             "give each run a port of its own, as in wire.endpoint=tcp/127.0.0.1:7448"
         )
+
+
+def listen(wire: WireSettings) -> Session:
+    """A session that listens on the endpoint. UserError: another process does, named if it is a run's learner."""
+    from appl_dist.wire.session import EndpointInUse, open_session
+
+    try:
+        return open_session(wire, listen=True)
+    except EndpointInUse as taken:
+        try:
+            with open_session(replace(wire, timeout_s=ASK_S), listen=False, identity=VIEWER) as session:
+                owner, _ = fetch_run(session, ASK_S)
+        except UserError:
+            raise taken from None
+        raise EndpointInUse(str(taken).replace("another process", f"run {owner}")) from None
 
 
 def _write(folder: Path, where: Whereabouts) -> None:

@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 from appl_dist.config import CONFIG_FILE, Settings
-from appl_dist.errors import UserError
 from appl_dist.launch.launch_settings import LaunchSettings
 from appl_dist.launch.runs import LEARNER_FILE
 from appl_dist.overrides import quoted
@@ -24,7 +23,8 @@ trap again USR1
 """
 
 _LEARNER = """\
-# A learner that dies goes on from its files; one that keeps dying ends the job and the actors'.
+# A learner that dies goes on from its files; one that keeps dying ends the job and the actors', after three attempts if
+# the reason is a mistake in its settings (status 2).
 for attempt in 1 2 3 4 5 6 7 8 9 10; do
     {command} &
     child=$!
@@ -32,6 +32,7 @@ for attempt in 1 2 3 4 5 6 7 8 9 10; do
     status=$?
     [ "$status" -eq 0 ] && exit 0
     echo "the learner ended with status $status (attempt $attempt)"
+    [ "$status" -eq 2 ] && [ "$attempt" -ge 3 ] && break
     sleep $((3 * attempt))
 done
 scancel --quiet --user="$USER" --name={actors}
@@ -53,12 +54,10 @@ def tasks(settings: LaunchSettings) -> int:
 
 
 def scripts(settings: Settings, folder: Path, cwd: Path) -> list[tuple[str, str]]:
-    """(file name, text) of the learner's script and of the actors', in the order to submit them.
+    """(file name, text) of the learner's script and of the actors', in the order to submit them from `folder`.
 
-    UserError: a folder whose name sbatch would not take in its options.
+    Their logs are named from there: a line of #SBATCH has no quoting that would take every folder's name.
     """
-    if any(c.isspace() or c in "%\\'\"" for c in str(folder)):
-        raise UserError(f"run.folder: got {folder}; sbatch takes no spaces, quotes, backslashes or % in it")
     return [("learner.sbatch", _learner(settings, folder, cwd)), ("actors.sbatch", _actors(settings, folder, cwd))]
 
 
@@ -74,7 +73,7 @@ def _learner(settings: Settings, folder: Path, cwd: Path) -> str:
     port = str(s.port) if s.port else "$(( 20000 + SLURM_JOB_ID % 20000 ))"
     options = [
         *_options(s, s.learner_cpus, s.learner_memory_gb),
-        f"--output={folder}/logs/learner.log",
+        "--output=logs/learner.log",
         *s.learner_extra,
     ]
     command = _command(s, folder, cwd, f"learner {_q(f'--config={folder / CONFIG_FILE}')}")
@@ -97,7 +96,7 @@ def _actors(settings: Settings, folder: Path, cwd: Path) -> str:
     options = [
         f"--array=0-{tasks(s) - 1}",
         *_options(s, share * s.actor_cpus, share * s.actor_memory_gb),
-        f"--output={folder}/logs/actors-%a.log",
+        "--output=logs/actors-%a.log",
         *s.actor_extra,
     ]
     command = _command(
@@ -105,7 +104,7 @@ def _actors(settings: Settings, folder: Path, cwd: Path) -> str:
         folder,
         cwd,
         f"actors {_q(f'--config={folder / CONFIG_FILE}')} {_q(quoted('actor.run', str(folder)))} "
-        f"actor.id={settings.wire.identity or ACTOR}-$SLURM_ARRAY_TASK_ID actors=$count",
+        f"actor.id={_q(settings.wire.identity or ACTOR)}-$SLURM_ARRAY_TASK_ID actors=$count",
     )
     return _script(
         f"{settings.run.id}-actors",
@@ -142,7 +141,8 @@ def _options(s: LaunchSettings, cpus: int, memory_gb: float) -> list[str]:
 def _script(name: str, options: list[str], s: LaunchSettings, cwd: Path, *body: str) -> str:
     head = [f"#SBATCH {option}" for option in (f"--job-name={name}", *options)]
     start = [f"cd {_q(cwd)}", *([f". {_q(Path(s.activate).absolute())}"] if s.activate else [])]
-    return "\n".join(["#!/bin/bash", *head, "", *start, "", *body])
+    note = "# Submit from the run's folder, where logs/ is."
+    return "\n".join(["#!/bin/bash", *head, "", note, *start, "", *body])
 
 
 def _command(s: LaunchSettings, folder: Path, cwd: Path, role: str) -> str:

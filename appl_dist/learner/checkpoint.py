@@ -24,7 +24,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from appl_dist.errors import UserError
-from appl_dist.files import to_disk
+from appl_dist.files import explain, to_disk
 from appl_dist.learner.td3 import TD3, Diverged
 
 log = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class Checkpoints:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as e:
-            raise UserError(f"checkpoint folder {folder}: cannot be made: {e.strerror}") from None
+            raise UserError(f"checkpoint folder {folder}: cannot be made: {explain(e)}") from None
         for left_over in self.folder.glob("checkpoint-*.tmp"):
             left_over.unlink()
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
-from appl_dist.files import lock, write_atomic
+from appl_dist.files import explain, lock, write_atomic
 
 CHUNK_BYTES = 8 << 20
 
@@ -97,7 +97,7 @@ class FolderClaim:
             folder.mkdir(parents=True, exist_ok=True)
             self._fd = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as e:
-            raise UserError(f"replay folder {folder}: cannot be used: {e.strerror}") from None
+            raise UserError(f"replay folder {folder}: cannot be used: {explain(e)}") from None
         try:
             lock(self._fd, folder / "lock", f"replay folder {folder}: another learner is using it")
             if (folder / "meta.json").exists():

@@ -17,6 +17,7 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
 from appl_dist.errors import UserError
+from appl_dist.files import explain
 
 METRICS_FILE = "metrics.jsonl"
 
@@ -32,7 +33,7 @@ class MetricsWriter:
             _drop_cut_line(path)
             self._file = open(path, "a", encoding="utf-8")  # noqa: SIM115
         except OSError as e:
-            raise UserError(f"{path}: cannot be written: {e.strerror}") from None
+            raise UserError(f"{path}: cannot be written: {explain(e)}") from None
         self._events = EventFileWriter(str(self.folder), flush_secs=10)
 
     def write(self, step: int, scalars: Mapping[str, float]) -> None:

@@ -165,4 +165,6 @@ def draw_world(world: World, out: Path) -> None:
     axes.plot(-2.0, 13.0, "*", color="tab:red", ms=10, label="goal")
     axes.set(xlim=(-5, 0.5), ylim=(-0.3, 13.6), aspect="equal", xlabel="x (m)", ylabel="y (m)", title=world.name)
     axes.legend(loc="upper right", fontsize=7)
-    figure.savefig(out, dpi=120)
+    png = io.BytesIO()
+    figure.savefig(png, format="png", dpi=120)
+    write_atomic(out, png.getvalue())

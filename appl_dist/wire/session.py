@@ -28,6 +28,10 @@ _MAX_MESSAGE_BYTES = 64 << 20  # refused by the transport itself, before anythin
 _MAX_SESSIONS = MAX_ACTORS + 96
 
 
+class EndpointInUse(UserError):
+    """Another process listens where the learner was to."""
+
+
 def open_session(settings: WireSettings, listen: bool, identity: str = "") -> Session:
     """A connected session; UserError when the endpoint is taken (listen) or no learner answers at it.
 
@@ -39,7 +43,8 @@ def open_session(settings: WireSettings, listen: bool, identity: str = "") -> Se
     try:
         return Session(_open(config))
     except zenoh.ZError as error:
-        raise (UserError if listen else PassingFault)(_why(settings, listen, str(error))) from error
+        kind = (EndpointInUse if "in use" in str(error) else UserError) if listen else PassingFault
+        raise kind(_why(settings, listen, str(error))) from error
 
 
 def _open(config: zenoh.Config) -> zenoh.Session:
@@ -59,8 +64,8 @@ def _open(config: zenoh.Config) -> zenoh.Session:
 def _why(settings: WireSettings, listen: bool, error: str) -> str:
     if listen and "in use" in error:
         return (
-            f"wire.endpoint: {settings.endpoint} is already in use, perhaps by another learner; "
-            "stop it or choose another port"
+            f"wire.endpoint: {settings.endpoint} is already in use by another process; "
+            "choose another port, as in wire.endpoint=tcp/127.0.0.1:7448"
         )
     if listen:
         return f"wire.endpoint: cannot listen on {settings.endpoint}: {error.split(' at /', 1)[0]}"

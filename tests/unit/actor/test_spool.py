@@ -135,7 +135,7 @@ def test_a_full_disk_is_a_sentence_and_leaves_nothing_partial(tmp_path, monkeypa
 
 def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="cannot write"):
+    with pytest.raises(UserError, match="cannot be written"):
         spool_of(tmp_path / "file" / "spool", "r/a")
 
 

@@ -79,7 +79,7 @@ def test_a_damaged_authority_and_a_full_disk_are_sentences(tmp_path: Path) -> No
     with pytest.raises(UserError, match="is damaged"):
         make_keys(tmp_path / "k", [], ["more"])
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="cannot write"):
+    with pytest.raises(UserError, match="cannot be written"):
         make_keys(tmp_path / "file", [], [])
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from appl_dist import overrides
 from appl_dist.config import Settings, load
 from appl_dist.errors import UserError
 from appl_dist.launch import slurm
@@ -73,10 +74,39 @@ def test_a_container_sees_the_run_and_what_is_bound() -> None:
     assert "/images/appl.sif appl-dist learner" in text
 
 
-def test_a_folder_that_sbatch_would_misread_is_refused() -> None:
-    for name in ("a b", "a%j", "a'b"):
-        with pytest.raises(UserError, match=r"run\.folder"):
-            slurm.scripts(settings(), Path("/shared") / name, CWD)
+@pytest.mark.parametrize("name", ["a b", "a%j", "a'b", 'a"b', "lr=1e-4", "a#b", "a(b", "$HOME", "ü", "a\\b"])
+def test_every_folder_reaches_the_learner_and_the_actors(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cwd = tmp_path / name
+    folder = cwd / "runs" / name
+    folder.mkdir(parents=True)
+    said = tmp_path / "said"
+    said.write_text(f"""#!/bin/sh\nprintf '%s\\n' "$@" > {tmp_path}/arguments\n""")
+    said.chmod(0o755)
+    monkeypatch.setattr(slurm.sys, "executable", str(said))
+    job = {"SLURM_JOB_ID": "7", "SLURM_ARRAY_TASK_ID": "0", "PATH": "/usr/bin:/bin"}
+    for _, text in slurm.scripts(settings(), folder, cwd):
+        assert name not in "".join(options(text))
+        subprocess.run(["bash"], input=text, text=True, env=job, check=True)
+        told = (tmp_path / "arguments").read_text().splitlines()
+        assert f"--config={folder}/config.json" in told
+    assert overrides.split([told[4]], Settings)[0] == [("actor.run", str(folder))]
+    assert told[5:] == ["actor.id=actor-0", "actors=1"]
+
+
+def test_a_learner_with_wrong_settings_ends_its_job_after_three_attempts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in (("learner", "echo x >> attempts; exit 2"), ("scancel", 'echo "$@" > cancelled'), ("sleep", ":")):
+        (tmp_path / name).write_text(f"#!/bin/sh\n{text}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setattr(slurm.sys, "executable", str(tmp_path / "learner"))
+    script = slurm.scripts(settings(), FOLDER, tmp_path)[0][1]
+    done = subprocess.run(["bash"], input=script, text=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, check=False)
+    assert done.returncode == 2
+    assert (tmp_path / "attempts").read_text() == "x\n" * 3
+    assert "-actors" in (tmp_path / "cancelled").read_text()
 
 
 @pytest.mark.parametrize(

@@ -245,7 +245,7 @@ except UserError as error:
     told = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=Path.cwd()
     ).stdout
-    assert "cannot be written (File too large)" in told
+    assert "cannot be written: File too large" in told
     assert (tmp_path / "out" / "report.html").read_text() == "the old one"
     assert not list((tmp_path / "out").rglob("*.tmp"))
 
