@@ -169,6 +169,7 @@ class Settings:
         _allowed("run.seed", self.run.seed, 0, 2**31 - 1)
         _allowed("actors", self.actors, 0, MAX_ACTORS)
         _allowed("world.count", self.world.count, 1, 100_000)
+        _allowed("world.seed", self.world.seed, 0, 2**63 - 1)
         _allowed("env.decision_period_s", self.env.decision_period_s, 0.1, 60.0)
         _allowed("actor.spool_rollouts", self.actor.spool_rollouts, 1, 10**6)
         _allowed("actor.spool_megabytes", self.actor.spool_megabytes, 1, 10**6)

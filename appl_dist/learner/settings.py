@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import re
 from dataclasses import dataclass, field
 
 from appl_dist.learner.limiter import LimiterSettings
@@ -32,19 +32,21 @@ class TD3Settings:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(f"learner.td3.hidden: got {self.hidden}; one or more layer widths, each at least 1")
-        for name in ("batch_size", "policy_delay", "threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"learner.td3.{name}: got {getattr(self, name)}; at least 1")
+        if not 1 <= len(self.hidden) <= 32 or not all(1 <= width <= 16_384 for width in self.hidden):
+            raise ValueError(f"learner.td3.hidden: got {self.hidden}; allowed 1 to 32 layer widths, each 1..16384")
+        for name, high in (("batch_size", 65_536), ("policy_delay", 1000), ("threads", 1024)):
+            if not 1 <= getattr(self, name) <= high:
+                raise ValueError(f"learner.td3.{name}: got {getattr(self, name)}; allowed 1..{high}")
         for name in ("actor_lr", "critic_lr"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"learner.td3.{name}: got {getattr(self, name)}; allowed above 0 up to 1")
         if not 0.0 < self.polyak <= 1.0:
             raise ValueError(f"learner.td3.polyak: got {self.polyak}; allowed above 0 up to 1")
         for name in ("target_noise", "target_noise_clip"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise ValueError(f"learner.td3.{name}: got {getattr(self, name)}; allowed 0 or more")
+            if not 0.0 <= getattr(self, name) <= 10.0:
+                raise ValueError(f"learner.td3.{name}: got {getattr(self, name)}; allowed 0..10")
+        if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
+            raise ValueError(f"learner.td3.device: got {self.device!r}; allowed cpu, cuda, cuda:N")
         if self.precision not in ("auto", "bf16", "fp32"):
             raise ValueError(f"learner.td3.precision: got {self.precision!r}; allowed auto, bf16, fp32")
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from appl_dist.config import Settings, compose_dict, from_dict
+from appl_dist.config import Settings, compose_dict, from_dict, load
 from appl_dist.errors import UserError
-from appl_dist.launch.environment import check_environment
+from appl_dist.launch.environment import check_environment, worlds_of
 
 PLAIN = compose_dict(["world.count=6", "world.train=0:1", "evaluation.worlds=1:2"])
 VALUES = (0, -1, 1e308, -1e308, math.nan, math.inf, 2**31, 1e-300)
@@ -53,16 +53,26 @@ def test_absurd_numbers_are_refused_by_name_or_work(path: tuple[str, ...]) -> No
     for value in VALUES:
         if kind is int and not (math.isfinite(value) and float(value).is_integer() and abs(value) < 2**63):
             continue
-        sentence = complaint(changed(path, int(value) if kind is int else value), build=path[0] in BUILT)
+        sentence = complaint(changed(path, int(value) if kind is int else value), build=path[0] in BUILT, group=path[0])
         assert sentence is None or path[-1].split("_")[0] in sentence, (value, sentence)
         assert sentence is None or len(sentence.splitlines()) == 1
 
 
-def complaint(plain: dict[str, Any], build: bool) -> str | None:
+def complaint(plain: dict[str, Any], build: bool, group: str = "") -> str | None:
     try:
         settings = from_dict(plain)
         if build:
             check_environment(settings)
+        elif group == "world":
+            worlds_of(settings, "0:1")
+        elif group == "learner":
+            assert settings.learner.td3.batch_size < 2**20 and max(settings.learner.td3.hidden) < 2**20
     except UserError as error:
         return str(error)
     return None
+
+
+@pytest.mark.parametrize("argument", ["hidden=[0]", "hidden=[]", "hidden=[1000000000]", "device=gpu", "precision=fp8"])
+def test_networks_that_cannot_be_are_refused_before_there_is_a_folder(argument: str) -> None:
+    with pytest.raises(UserError, match=rf"learner\.td3\.{argument.partition('=')[0]}: got .*allowed"):
+        load(["world.count=6", f"learner.td3.{argument}"])
