@@ -2,7 +2,8 @@
 
 Workers are spawned (never forked: simulator and wire threads do not survive a fork), ignore Ctrl-C,
 which is the parent's to handle, and leave when their parent is gone, however it died. Each has a pipe
-of its own, so a worker that dies is noticed at once instead of hanging the evaluation.
+of its own, so a worker that dies (short of memory, a fault in native code) is noticed at once; another process takes
+its place and its job. A job at which two workers died ends the whole.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import os
 import signal
 import threading
 import traceback
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
@@ -22,6 +24,8 @@ from typing import Any, Protocol
 from appl_dist.errors import UserError
 
 log = logging.getLogger(__name__)
+
+MAX_DEATHS = 2  # workers that die in one job before the job is held to be the reason
 
 
 class Crew(Protocol):
@@ -46,7 +50,8 @@ def run_parallel(
     """Yield `runner(job)` for every job in order of completion, on `workers` processes (0: in this one).
 
     Close the generator (`contextlib.closing`) to be sure that workers end when the caller stops early.
-    Raises UserError if a runner raised one, otherwise RuntimeError with the worker's traceback.
+    Raises UserError if a runner raised one, RuntimeError with the worker's traceback for another exception, and
+    RuntimeError with the job for one at which MAX_DEATHS workers died.
     """
     if workers < 0:
         raise UserError(f"workers: got {workers}; allowed 0 (in this process) or more")
@@ -58,8 +63,9 @@ def run_parallel(
         return
     crew: dict[Connection, Any] = {}
     try:
-        _start(crew, make_runner, min(workers, len(jobs)))
-        yield from _share_out(jobs, crew)
+        for number in range(min(workers, len(jobs))):
+            _start(crew, make_runner, number)
+        yield from _share_out(jobs, crew, make_runner)
     finally:
         for connection, process in crew.items():
             connection.close()
@@ -68,9 +74,13 @@ def run_parallel(
             process.join()
 
 
-def _share_out(jobs: Sequence[Any], crew: dict[Connection, Any]) -> Iterator[Any]:
-    waiting = iter(jobs)
+def _share_out(
+    jobs: Sequence[Any], crew: dict[Connection, Any], make_runner: Callable[[], Callable[[Any], Any]]
+) -> Iterator[Any]:
+    waiting = deque(jobs)
     busy: dict[Connection, Any] = {}
+    deaths: Counter[Any] = Counter()  # by job
+    started = len(crew)
     for connection in crew:
         _send_next(connection, waiting, busy)
     while busy:
@@ -80,8 +90,21 @@ def _share_out(jobs: Sequence[Any], crew: dict[Connection, Any]) -> Iterator[Any
             try:
                 kind, content = ready.recv()
             except (EOFError, ConnectionResetError):
-                crew[ready].join()
-                raise RuntimeError(f"a worker died with exit code {crew[ready].exitcode} in {job}") from None
+                dead = crew.pop(ready)
+                dead.join()
+                ready.close()
+                deaths[job] += 1
+                if deaths[job] >= MAX_DEATHS:
+                    raise RuntimeError(
+                        f"{MAX_DEATHS} workers died in {job}; {dead.name} {_how(dead.exitcode)}"
+                    ) from None
+                log.warning(
+                    "%s %s in %s; another process takes its place and its job", dead.name, _how(dead.exitcode), job
+                )
+                waiting.appendleft(job)
+                _send_next(_start(crew, make_runner, started), waiting, busy)
+                started += 1
+                continue
             if kind == "user error":
                 raise UserError(content)
             if kind == "fault":
@@ -90,24 +113,31 @@ def _share_out(jobs: Sequence[Any], crew: dict[Connection, Any]) -> Iterator[Any
             yield content
 
 
-def _send_next(connection: Connection, waiting: Iterator[Any], busy: dict[Connection, Any]) -> None:
-    for job in waiting:
-        busy[connection] = job
+def _how(exit_code: int | None) -> str:
+    if exit_code is None or exit_code >= 0:
+        return f"died with exit code {exit_code}"
+    name = signal.Signals(-exit_code).name if -exit_code in set(signal.Signals) else str(-exit_code)
+    return f"was killed by {name}" + (" (often a lack of memory)" if name == "SIGKILL" else "")
+
+
+def _send_next(connection: Connection, waiting: deque[Any], busy: dict[Connection, Any]) -> None:
+    if waiting:
+        job = busy[connection] = waiting.popleft()
         # If the worker has died, reading from it says so, with the exit code.
         with suppress(BrokenPipeError, ConnectionResetError):
             connection.send(job)
-        return
 
 
-def _start(crew: dict[Connection, Any], make_runner: Callable[[], Any], workers: int) -> None:
+def _start(crew: dict[Connection, Any], make_runner: Callable[[], Any], number: int) -> Connection:
+    """Start a worker, add it to `crew` and return the pipe to it."""
     context = multiprocessing.get_context("spawn")
     with _one_thread(), _interrupt_blocked():
-        for number in range(workers):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(theirs, make_runner), name=f"evaluate-{number}", daemon=True)
-            process.start()
-            theirs.close()
-            crew[ours] = process
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs, make_runner), name=f"evaluate-{number}", daemon=True)
+        process.start()
+        theirs.close()
+    crew[ours] = process
+    return ours
 
 
 @contextmanager

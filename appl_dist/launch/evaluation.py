@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import signal
 import time
@@ -13,6 +14,7 @@ from rich.console import Console
 
 from appl_dist.actor.world_split import select_worlds, split_groups
 from appl_dist.config import Settings, as_dict, cores
+from appl_dist.errors import UserError
 from appl_dist.evaluate.workers import Crew
 from appl_dist.launch.environment import check_environment, environment_arguments
 from appl_dist.launch.report_commands import open_env
@@ -24,8 +26,18 @@ log = logging.getLogger(__name__)
 DEFAULT_FOLDER = "runs/evaluation-%Y%m%d-%H%M%S"
 
 
+def require_statistics() -> None:
+    """UserError unless what the end of an evaluation needs can be imported: better now than after hours of trials."""
+    if importlib.util.find_spec("scipy") is None:
+        raise UserError(
+            "the evaluation's statistics need scipy, which is not installed: pip install 'appl-dist[evaluate]' "
+            "(or [learner], which has it too)"
+        )
+
+
 def evaluate(settings: Settings) -> int:
     """Compare the configured methods; prints tables, writes trials, tables, figures and the report."""
+    require_statistics()
     check_environment(settings)
     named = settings.evaluation.folder
     folder = Path(named) if named else make_folder(Path(time.strftime(DEFAULT_FOLDER)), "evaluation.folder")

@@ -17,7 +17,7 @@ from rich.live import Live
 from appl_dist.config import CONFIG_FILE, Settings, cores
 from appl_dist.errors import USER_ERROR, UserError
 from appl_dist.launch import view
-from appl_dist.launch.evaluation import evaluate_methods
+from appl_dist.launch.evaluation import evaluate_methods, require_statistics
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, open_spool, stop_event
@@ -37,6 +37,7 @@ STOP_S = 20.0
 
 def train(settings: Settings) -> int:
     """Run until the run's length is reached or Ctrl-C; status 0 also after Ctrl-C, which leaves a resumable folder."""
+    require_statistics()
     settings, folder = prepare(settings)
     console = view.make_console()
     finished = _serial(settings) if settings.serial else _processes(settings, folder, console)

@@ -45,7 +45,12 @@ def write_report(runs: Sequence[Path], folder: Path, open_env: OpenEnv | None = 
     write_atomic(folder / "tables.tex", "\n".join(t.latex() for t in tables))
     if not pictures:
         return Report(data, tuple(tables), folder)
-    shown, replays = _pictures(data, folder / "figures", open_env)
+    try:
+        shown, replays = _pictures(data, folder / "figures", open_env)
+    except Exception as error:  # what draws is a large library with an environment of its own; numbers are kept
+        log.warning("no figures: %s: %s; trials and tables are in %s", type(error).__name__, error, folder)
+        log.debug("drawing failed", exc_info=True)
+        shown, replays = [], Replays()
     write_atomic(folder / "report.html", render(data, tables, shown, replays))
     return Report(data, tuple(tables), folder)
 

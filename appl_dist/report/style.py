@@ -48,6 +48,7 @@ def stacked(count: int, height_in: float, share_x: bool = False) -> tuple[Figure
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    os.environ["MPLBACKEND"] = "agg"  # a notebook's, or a wrong one, would stop the import; no window is ever opened
     try:
         os.environ["MPLBACKEND"] = "agg"  # what a notebook has set there may not be importable here
         import matplotlib

@@ -1,7 +1,9 @@
 """Jobs handed out to whoever asks, results taken in once: evaluations on many machines.
 
 A worker's question carries the result of its last job; the answer is the next one. A job whose worker has gone, or that
-has been out for long while others idle, is handed out again; the first result counts, later ones are only counted.
+that has been out for long while others idle, is handed out again; the first result counts, later ones are only counted.
+A worker that says it failed gets no more jobs and is named; another does its job. The whole ends when `MAX_FAILURES`
+workers failed at the same job, or when none is left that has not failed.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from appl_dist.wire.codec import MAX_HEADER_BYTES, pack, unpack_map
 
 MAX_RESULT_BYTES = 1 << 20
 MAX_ANSWER_BYTES = 64 << 20
+MAX_FAILURES = 3  # workers that fail at one job before the job is held to be the reason
+ALONE_S = 10.0  # how long a server waits for another worker when all that it knows have failed
 PATIENCE_S = 120.0  # a job that has been out for so long is given to an idle worker as well
 ANSWER_S = 5.0
 WAIT_S = 0.5
@@ -34,7 +38,7 @@ class WorkServer:
     """Hands out `jobs` and yields (index, result) as they come in. Jobs and results are plain msgpack values.
 
     files: what workers may ask for by name, such as policies. check: raises ValueError for a result that cannot be
-    (index, result). `counts`: handed, again (handed out once more), results, repeated, malformed.
+    (index, result). `counts`: handed, again (handed out once more), results, repeated, failed, malformed.
     """
 
     def __init__(
@@ -52,6 +56,10 @@ class WorkServer:
         self._waiting = deque(range(len(self._jobs)))
         self._out: dict[int, tuple[str, float]] = {}  # job → who has it, since when
         self._done: set[int] = set()
+        self._present: set[str] = set()
+        self._failed: dict[str, str] = {}  # worker that gets no more jobs → reason
+        self._failed_s = 0.0  # when the last of them failed
+        self._failures: dict[int, set[str]] = {}  # job → names of workers that failed at it
         self._results: queue.SimpleQueue[tuple[int, dict[str, Any]] | str] = queue.SimpleQueue()
         self._handles = [
             bus.serve(keys.work(run_id, keys.ANY), self._serve),
@@ -59,14 +67,14 @@ class WorkServer:
         ]
 
     def results(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Every job's result, once, in order of arrival. UserError: a worker says that it cannot do its job."""
+        """Every job's result, once, in order of arrival. UserError: no worker can do a job, with the reason."""
         for _ in self._jobs:
             while True:
                 try:
                     found = self._results.get(timeout=WAIT_S)  # a wait that Ctrl-C can end
                     break
                 except queue.Empty:
-                    continue
+                    self._check_alone()
             if isinstance(found, str):
                 raise UserError(found)
             yield found
@@ -74,6 +82,13 @@ class WorkServer:
     def close(self) -> None:
         for handle in reversed(self._handles):
             handle.close()
+
+    def _check_alone(self) -> None:
+        """UserError if every worker has failed and no other has come for a while."""
+        with self._lock:
+            hopeful = self._present - self._failed.keys()
+            if self._failed and not hopeful and self._clock() - self._failed_s > ALONE_S:
+                raise UserError(f"no worker is left: {'; '.join(self._failed.values())!s:.4000}")
 
     def _serve(self, query: Query) -> None:
         worker = query.key.rpartition("/")[2]
@@ -97,12 +112,37 @@ class WorkServer:
             if name not in self._files:
                 raise ValueError(f"no file {name!r:.80}")
             return {"file": self._files[name]}
+        asker = f"{worker}/{asked.get('incarnation')!s:.80}"
         if "failed" in asked:
-            self._results.put(f"{worker}: {asked['failed']!s:.2000}")
+            self._exclude(asker, f"{worker}: {asked['failed']!s:.2000}")
             return {"over": True}
         if "result" in asked:
             self._take(asked.get("job"), asked["result"])
-        return self._next(f"{worker}/{asked.get('incarnation')!s:.80}")
+        return self._next(asker)
+
+    def _exclude(self, worker: str, reason: str) -> None:
+        """No more jobs for a worker that failed; those it had go to others, or end the whole."""
+        name = worker.partition("/")[0]
+        with self._lock:
+            self.counts["failed"] += 1
+            self._present.add(worker)
+            self._failed[worker] = reason
+            self._failed_s = self._clock()
+            had = self._take_back(worker)
+            for job in had:
+                self._failures.setdefault(job, set()).add(name)
+            given_up = any(len(self._failures[job]) >= MAX_FAILURES for job in had)
+        log.warning("%s failed and gets no more jobs; others do its job: %s", name, reason)
+        if given_up:
+            self._results.put(f"{MAX_FAILURES} workers failed at the same job; the last: {reason}")
+
+    def _take_back(self, worker: str) -> list[int]:
+        had = [job for job, (who, _) in self._out.items() if who == worker]
+        for job in had:
+            del self._out[job]
+            self._waiting.appendleft(job)
+            self.counts["again"] += 1
+        return had
 
     def _take(self, job: object, result: object) -> None:
         if not isinstance(job, int) or not 0 <= job < len(self._jobs) or not isinstance(result, dict):
@@ -119,6 +159,9 @@ class WorkServer:
 
     def _next(self, worker: str) -> dict[str, Any]:
         with self._lock:
+            if worker in self._failed:
+                return {"over": True}
+            self._present.add(worker)
             now_s = self._clock()
             for job, (who, _) in self._out.items():
                 if who == worker:  # it asks, so it does not have it: our answer was lost
@@ -138,15 +181,14 @@ class WorkServer:
             return {"job": job, "what": self._jobs[job]}
 
     def _seen(self, key: str, present: bool) -> None:
-        if present:
-            return
         *_, name, incarnation = key.split("/")
+        worker = f"{name}/{incarnation}"
         with self._lock:
-            lost = [job for job, (who, _) in self._out.items() if who == f"{name}/{incarnation}"]
-            for job in lost:
-                del self._out[job]
-                self._waiting.appendleft(job)
-                self.counts["again"] += 1
+            if present:
+                self._present.add(worker)
+                return
+            self._present.discard(worker)
+            lost = self._take_back(worker)
         if lost:
             log.warning("%s has gone; its job is handed out again", name)
 
@@ -189,7 +231,7 @@ class WorkClient:
             self._pause(WAIT_S)
 
     def fail(self, why: str) -> None:
-        """Tell the server that this worker cannot do what is asked; it ends the whole."""
+        """Tell the server that this worker cannot do what is asked: it gets no more jobs."""
         self._ask({"failed": why})
 
     def _ask(self, question: dict[str, Any]) -> dict[str, Any] | None:

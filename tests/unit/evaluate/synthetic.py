@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -34,6 +36,11 @@ class Synthetic:
                 raise ZeroDivisionError("in world 3")
             if job.world == 3 and self.settings.fault == "death":
                 os._exit(7)
+            if job.world == 3 and self.settings.fault.startswith("killed once "):
+                mark = Path(self.settings.fault.removeprefix("killed once "))
+                if not mark.exists():
+                    mark.touch()
+                    os.kill(os.getpid(), signal.SIGKILL)
             time.sleep(self.settings.delay_s)
             return synthetic_trial(job, self.settings.gain_s)
 

@@ -54,6 +54,15 @@ def test_result_is_the_same_with_any_number_of_workers(tmp_path: Path) -> None:
     assert run_trials(METHODS, range(5), 3, Synthetic(), workers=0, seed=8) != serial
 
 
+def test_a_worker_that_dies_is_replaced_and_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Killed once, as for a lack of memory: one process of one, and every trial is there."""
+    mark = tmp_path / "killed"
+    found = run_trials(METHODS, range(5), 2, Synthetic(fault=f"killed once {mark}"), workers=1)
+    assert mark.exists()
+    assert found == run_trials(METHODS, range(5), 2, Synthetic(), workers=0)
+    assert "evaluate-0 was killed by SIGKILL" in caplog.text
+
+
 def test_more_trials_worlds_and_methods_keep_the_finished_ones(tmp_path: Path) -> None:
     seen: list[Trial] = []
     run_trials(METHODS[:1], [0, 1], 2, Synthetic(), workers=0, folder=tmp_path)
@@ -116,7 +125,7 @@ def test_a_second_evaluation_in_the_same_folder_is_refused(tmp_path: Path) -> No
     [
         ("user error", UserError, "^policy: got nonsense$"),
         ("exception", RuntimeError, "ZeroDivisionError: in world 3"),
-        ("death", RuntimeError, "exit code 7"),
+        ("death", RuntimeError, "2 workers died in .*exit code 7"),
     ],
 )
 def test_a_fault_in_a_worker_is_told_and_finished_trials_stay(

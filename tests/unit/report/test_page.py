@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -138,6 +139,22 @@ def test_caveats_stand_in_every_form_of_every_table(tmp_path: Path) -> None:
     record = next(r for t in report.tables if t.name == "mean" for r in t.records if r["method"] != "default")
     low, mean, high = (record[f"improvement_over_default_{k}"] for k in ("low_s", "s", "high_s"))
     assert low <= mean <= high
+
+
+def test_results_are_kept_where_figures_cannot_be_drawn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    a = write_evaluation(tmp_path / "a", {"default": 20.0})
+    blocked = tmp_path / "out" / "figures"
+    blocked.parent.mkdir()
+    blocked.write_text("a file where figures would go")
+    write_report([a], tmp_path / "out")
+    assert "no figures" in caplog.text and str(tmp_path / "out") in caplog.text
+    assert "Mean traversal time" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_backend_of_another_program_does_not_stop_figures(tmp_path: Path) -> None:
+    code = "from appl_dist.report.style import new_figure; new_figure(1.0)"
+    for backend in ("module://matplotlib_inline.backend_inline", "nonsense"):
+        subprocess.run([sys.executable, "-c", code], env={**os.environ, "MPLBACKEND": backend}, check=True)
 
 
 class Page(HTMLParser):

@@ -12,7 +12,7 @@ from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import pack, unpack_map
 from appl_dist.wire.memory import MemoryHub, MemorySession
-from appl_dist.wire.work import PATIENCE_S, WorkClient, WorkServer
+from appl_dist.wire.work import ALONE_S, MAX_FAILURES, PATIENCE_S, WorkClient, WorkServer
 
 
 def check(job: int, result: dict[str, Any]) -> None:
@@ -122,10 +122,32 @@ def test_what_cannot_be_is_refused_and_changes_nothing(question: bytes) -> None:
     assert place.collect() == {0: {"square": 0}}
 
 
-def test_a_worker_that_cannot_ends_the_whole_with_its_words() -> None:
-    place = Place(1)
+def test_a_worker_that_fails_is_excluded_and_another_does_its_job() -> None:
+    place = Place(3)
+    _, bad = place.worker("actor-0")
+    assert bad.next() is not None
+    bad.fail("no worlds here")
+    assert bad.next() is None
+    assert work(place.worker("actor-1")[1]) == 3
+    assert sorted(place.collect()) == [0, 1, 2]
+    assert place.server.counts["failed"] == 1
+
+
+def test_a_job_at_which_several_workers_fail_ends_the_whole_with_their_words() -> None:
+    place = Place(3)
+    for i in range(MAX_FAILURES):
+        client = place.worker(f"actor-{i}")[1]
+        assert client.next() is not None
+        client.fail("no worlds here")
+    with pytest.raises(UserError, match=f"failed at the same job; the last: actor-{MAX_FAILURES - 1}: no worlds here"):
+        place.collect()
+
+
+def test_when_every_worker_has_failed_the_whole_ends_with_their_words() -> None:
+    place = Place(3)
     place.worker("actor-0")[1].fail("no worlds here")
-    with pytest.raises(UserError, match="actor-0: no worlds here"):
+    place.now_s += ALONE_S + 1.0
+    with pytest.raises(UserError, match="no worker is left: actor-0: no worlds here"):
         place.collect()
 
 
