@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 LEARNER_FILE = "learner.json"
 DEFAULT_FOLDER = "runs/%Y%m%d-%H%M%S"
 ASK_S = 2.0
+_OUTPUTS = ("checkpoints", "replay", "spool", "evaluation", "policy.safetensors", "metrics.jsonl", "epoch.json")
 _EVERYWHERE = ("0.0.0.0", "[::]")
 
 
@@ -56,6 +57,9 @@ def _create(settings: Settings, folder: Path) -> tuple[Settings, Path]:
     """A new run: whoever makes its configuration file owns the folder."""
     if settings.run.folder:
         _made(folder, "run.folder", exist_ok=True)
+        found = [name for name in _OUTPUTS if (folder / name).exists()]
+        if found and not (folder / CONFIG_FILE).exists():
+            raise UserError(f"run.folder: {folder} holds {found[0]}, which a run would overwrite; choose a new folder")
     else:
         folder = make_folder(folder, "run.folder")
     run = replace(settings.run, folder=str(folder), id=new_id(folder))

@@ -122,6 +122,13 @@ def test_a_file_where_a_folder_should_be_is_named(tmp_path: Path) -> None:
         actors(load([f"actor.run={tmp_path}/file"]))
 
 
+def test_a_run_overwrites_nothing_in_a_folder_that_is_not_its_own(tmp_path: Path) -> None:
+    (tmp_path / "policy.safetensors").write_text("another's")
+    with pytest.raises(UserError, match=r"run\.folder: .* holds policy\.safetensors, which a run would overwrite"):
+        runs.prepare(load([*SMALL, f"run.folder={tmp_path}"]))
+    assert [path.name for path in tmp_path.iterdir()] == ["policy.safetensors"]
+
+
 def test_folders_made_in_the_same_second_differ(tmp_path: Path) -> None:
     made = [runs.make_folder(tmp_path / DEFAULT_FOLDER, "evaluation.folder") for _ in range(3)]
     assert len(set(made)) == 3
