@@ -130,6 +130,7 @@ class EvaluationSettings:
 
     worlds: a split, as in `world`. workers: 0 takes one per core. spread: instead hand the trials to the actors that
     connect to wire.endpoint, on this machine or others. report: besides tables, draw figures and write the page.
+    training_worlds: allow worlds that a policy was trained on.
     """
 
     methods: dict[str, str] = field(default_factory=dict)
@@ -138,6 +139,7 @@ class EvaluationSettings:
     workers: int = 0
     spread: bool = False
     report: bool = True
+    training_worlds: bool = False
     folder: str = ""
 
 
@@ -288,6 +290,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+@functools.cache
 def _schema(cls: type) -> type:
     """A mutable twin of a frozen settings class: OmegaConf takes `frozen` to mean that nothing may be overridden."""
     hints = typing.get_type_hints(cls)

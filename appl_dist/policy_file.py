@@ -12,7 +12,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,16 @@ _MAX_HEADER_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
+class Training:
+    """Where a policy comes from: fingerprints of its training courses, the run's id and seed, its settings' digest."""
+
+    courses: tuple[str, ...]
+    run: str
+    seed: int
+    config: str
+
+
+@dataclass(frozen=True)
 class PolicyFile:
     """An MLP (`weights` (out, in) and `biases` (out,), float32) or fixed `values` (n,) of `space`.
 
@@ -65,6 +75,7 @@ class PolicyFile:
     epoch: int = 0
     version: int = 0
     transitions: int = 0
+    training: Training | None = None  # None: unknown, as for a fixed set or a file made elsewhere
 
     def __post_init__(self) -> None:
         for name in ("epoch", "version", "transitions"):
@@ -116,6 +127,7 @@ class PolicyFile:
             "epoch": self.epoch,
             "version": self.version,
             "transitions": self.transitions,
+            **({} if self.training is None else {"training": asdict(self.training)}),
         }
         tensors: dict[str, NDArray[Any]] = {}
         for i, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -244,4 +256,13 @@ def _from_parts(header: dict[str, Any], tensors: dict[str, NDArray[Any]]) -> Pol
         epoch=_take(header, "epoch", int, "epoch"),
         version=_take(header, "version", int, "version"),
         transitions=_take(header, "transitions", int, "transitions"),
+        training=_training(header["training"]) if "training" in header else None,
     )
+
+
+def _training(plain: Any) -> Training:
+    courses = _take(plain, "courses", list, "training.courses")
+    if not all(isinstance(course, str) and len(course) <= 64 for course in courses):
+        raise ValueError("training.courses: expected a list of fingerprints")
+    run, config = (_take(plain, name, str, f"training.{name}")[:255] for name in ("run", "config"))
+    return Training(tuple(courses), run, _take(plain, "seed", int, "training.seed"), config)

@@ -48,7 +48,7 @@ def record(count: int) -> list[bytes]:
     """`count` batches of real transitions: random parameters in generated worlds."""
     from appl_dist.actor.env import NavigationEnv
     from appl_dist.actor.rollout import collect
-    from appl_dist.sim.generator import generate_worlds
+    from appl_dist.sim.generate import generate_worlds
 
     env, rng, episodes = NavigationEnv(generate_worlds(20, 0)), np.random.default_rng(0), []
     while sum(map(len, episodes)) < count * BATCH:

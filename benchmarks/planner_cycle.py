@@ -24,7 +24,7 @@ import numpy as np
 from appl_dist.planner.ideal_drive import cast_scan, drive
 from appl_dist.planner.navigator import Navigator
 from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.sim.generator import generate_worlds
+from appl_dist.sim.generate import generate_worlds
 from appl_dist.spec import DWA
 
 # ms of the ROS code on one core of a server (AMD EPYC, -O2): default parameters, random ones for the control.

@@ -108,7 +108,7 @@ def episode(env: Any, number: int, seed: int, tally: Tally) -> str:
 def soak(overrides: list[str], hours: float, seed: int, number: int, out: Any) -> None:
     from appl_dist.actor.env import NavigationEnv
     from appl_dist.config import load
-    from appl_dist.sim.generator import generate_worlds
+    from appl_dist.sim.generate import generate_worlds
     from appl_dist.sim.worlds import load_worlds
 
     settings = load(overrides)

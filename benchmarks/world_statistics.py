@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import ks_2samp
 
 from appl_dist.sim.difficulty import NAMES, c_space
-from appl_dist.sim.generator import find_path, generate_worlds, world_cylinders
+from appl_dist.sim.generate import find_path, generate_worlds, world_cylinders
 from appl_dist.sim.worlds import World, field_grid, load_worlds, path_cells
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "barn"

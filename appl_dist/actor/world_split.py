@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from appl_dist.errors import UserError
-from appl_dist.sim.generator import generate_worlds
+from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.worlds import World, load_worlds
 
 SPLIT_FILE = "applr_split.json"
-TEST_EVERY = 6  # without a split file worlds 0, 6, 12, … test and the others train: 50 and 250 of 300
+# APPLR's 50 test worlds of BARN's 300 (Xu et al., ICRA 2021; the authors' `condor_config.worlds`). The others train.
+APPLR_TEST = (
+    0, 8, 17, 19, 27, 32, 41, 47, 48, 57, 64, 69, 76, 78, 88, 93, 100, 104, 112, 118, 123, 129, 133, 138, 144, 150, 159,
+    163, 168, 175, 184, 189, 193, 201, 208, 214, 218, 226, 229, 237, 240, 246, 256, 258, 265, 270, 277, 284, 290, 294,
+)  # fmt: skip
+BARN_WORLDS = 300
+TEST_EVERY = 6  # of generated worlds, and of sets of another size: 0, 6, 12, … test and the others train
 
 
 def select_worlds(path: str, count: int, seed: int, split: str) -> list[World]:
@@ -18,13 +26,12 @@ def select_worlds(path: str, count: int, seed: int, split: str) -> list[World]:
 
     split: "train", "test", "all", or indices and Python-like ranges: "0,6,12", "0:50", "0:300:6". Raises UserError.
     """
-    worlds = {w.index: w for w in (load_worlds(path) if path else generate_worlds(count, seed))}
+    worlds = {w.index: w for w in all_worlds(path, count, seed)}
     if split == "all":
         return list(worlds.values())
     if split in ("train", "test"):
-        indices = _published_split(Path(path), split) if path else None
-        if indices is None:
-            indices = [i for i in worlds if (i % TEST_EVERY == 0) == (split == "test")]
+        test = test_indices(path, list(worlds))
+        indices = [i for i in worlds if (i in test) == (split == "test")]
     else:
         indices = _parse(split)
     missing = [i for i in indices if i not in worlds]
@@ -38,22 +45,44 @@ def select_worlds(path: str, count: int, seed: int, split: str) -> list[World]:
     return [worlds[i] for i in indices]
 
 
-def split_groups(path: str, indices: list[int]) -> dict[str, list[int]]:
-    """World indices by the split they belong to, as the papers' tables report them; empty splits are left out."""
-    test = set((_published_split(Path(path), "test") if path else None) or [i for i in indices if i % TEST_EVERY == 0])
+@functools.lru_cache(maxsize=2)
+def all_worlds(path: str, count: int, seed: int) -> tuple[World, ...]:
+    """Every world under `path`, or `count` generated ones where it is "": read once by a process."""
+    return tuple(load_worlds(path) if path else generate_worlds(count, seed))
+
+
+def test_indices(path: str, indices: Sequence[int]) -> set[int]:
+    """Which worlds of a set are its test worlds.
+
+    Those that a split file beside the worlds names; of 300 worlds in files APPLR's 50; else every TEST_EVERYth.
+    """
+    named = _split_file(Path(path)) if path else None
+    if named is not None:
+        return named
+    if path and sorted(indices) == list(range(BARN_WORLDS)):
+        return set(APPLR_TEST)
+    return {i for i in indices if i % TEST_EVERY == 0}
+
+
+def split_groups(path: str, everything: Sequence[int], indices: Sequence[int]) -> dict[str, list[int]]:
+    """Indices by the split they belong to, as the papers' tables report them; empty splits are left out.
+
+    everything: the indices of the whole set.
+    """
+    test = test_indices(path, everything)
     groups = {"train": [i for i in indices if i not in test], "test": [i for i in indices if i in test]}
     return {name: chosen for name, chosen in groups.items() if chosen}
 
 
-def _published_split(path: Path, split: str) -> list[int] | None:
+def _split_file(path: Path) -> set[int] | None:
+    """The test worlds that SPLIT_FILE beside the worlds names, None without one."""
     file = (path if path.is_dir() else path.parent) / SPLIT_FILE
     if not file.is_file():
         return None
     try:
-        found = json.loads(file.read_text("utf-8"))["heldout" if split == "test" else split]
-        return [int(i) for i in found]
+        return {int(i) for i in json.loads(file.read_text("utf-8"))["heldout"]}
     except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{file}: expected lists 'train' and 'heldout' of world indices; {error}") from None
+        raise UserError(f"{file}: expected a list 'heldout' of world indices; {error}") from None
 
 
 def _parse(split: str) -> list[int]:

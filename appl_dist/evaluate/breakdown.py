@@ -19,7 +19,7 @@ from appl_dist.evaluate.statistics import (
     spearman,
 )
 from appl_dist.sim.difficulty import NAMES
-from appl_dist.sim.generator import FILLS, SMOOTHINGS
+from appl_dist.sim.generate import FILLS, SMOOTHINGS
 
 THIRDS = ("easy", "medium", "difficult")
 CLIPS = {"since 2024": (2.0, 8.0), "before 2024": (4.0, 8.0)}  # in optimal times

@@ -18,7 +18,7 @@ from appl_dist.actor.rollout import EpisodeResult, run_episode
 from appl_dist.errors import UserError
 from appl_dist.evaluate.trials import Job, Method, Trial, encode_trace
 from appl_dist.policy.load import load_policy
-from appl_dist.sim.worlds import World
+from appl_dist.sim.worlds import World, course_of
 from appl_dist.spec import DWA, SPACES, ParameterSpace
 
 # Arguments of `NavigationEnv` that no trial depends on: what learning is rewarded for.
@@ -51,13 +51,6 @@ class NavigationRunner:
     def courses(self) -> dict[int, str]:
         """A fingerprint of each world's geometry."""
         return {world.index: course_of(world) for world in self.worlds}
-
-
-def course_of(world: World) -> str:
-    """Fingerprint of a world's geometry: equal for equal courses, wherever they were loaded from."""
-    digest = hashlib.sha256(world.cylinders.tobytes())
-    digest.update(world.path_official.tobytes())
-    return digest.hexdigest()[:8]
 
 
 class _Runner:

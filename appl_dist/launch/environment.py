@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.world_split import select_worlds
-from appl_dist.config import Settings
+from appl_dist.config import Settings, as_dict
 from appl_dist.errors import UserError
 from appl_dist.planner.parameters import Arithmetic, PlannerSettings
-from appl_dist.sim.worlds import World
+from appl_dist.policy_file import PolicyFile, Training
+from appl_dist.sim.worlds import World, course_of
 from appl_dist.spec import SPACES
 
+_PLACES = ("run", "actors", "serial", "actor", "wire", "evaluation", "launch")  # settings without meaning for learning
 EVALUATION = "evaluation_of"  # in what is served to actors: no training run, but trials under these settings
 
 
@@ -32,6 +38,44 @@ def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = No
         "robot": settings.robot,
         "lidar": settings.lidar,
     }
+
+
+def training_of(settings: Settings) -> Training:
+    """What a policy of this run says of its origin."""
+    meaning = {k: v for k, v in as_dict(settings).items() if k not in _PLACES}
+    digest = hashlib.sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()[:16]
+    courses = tuple(course_of(world) for world in worlds_of(settings, settings.world.train))
+    return Training(courses, settings.run.id, settings.run.seed, digest)
+
+
+def check_not_trained_on(settings: Settings, methods: Iterable[tuple[str, str]]) -> None:
+    """UserError: a policy would be evaluated on worlds that it was trained on, and nobody asked for that."""
+    if settings.evaluation.training_worlds:
+        return
+    courses = {course_of(world): world.index for world in worlds_of(settings, settings.evaluation.worlds)}
+    for label, spec in methods:
+        path = Path(spec)
+        training = PolicyFile.load(path).training if path.is_file() else None
+        seen = [courses[course] for course in (training.courses if training else ()) if course in courses]
+        if seen:
+            raise UserError(
+                f"evaluation.worlds: {label} was trained on {len(seen)} of these {len(courses)} worlds, {seen[0]} "
+                "among them; choose others, or allow it with evaluation.training_worlds=true"
+            )
+
+
+def check_split(settings: Settings) -> None:
+    """UserError: a run would be evaluated on worlds that it trains on, and nobody asked for that."""
+    if settings.evaluation.training_worlds:
+        return
+    train = {course_of(world) for world in worlds_of(settings, settings.world.train)}
+    both = [w.index for w in worlds_of(settings, settings.evaluation.worlds) if course_of(w) in train]
+    if both:
+        raise UserError(
+            f"evaluation.worlds: {len(both)} of the worlds in {settings.evaluation.worlds!r} are among the training "
+            f"worlds {settings.world.train!r}, {both[0]} is one; choose others, or allow it with "
+            "evaluation.training_worlds=true"
+        )
 
 
 def check_environment(settings: Settings) -> None:

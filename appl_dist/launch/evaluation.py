@@ -12,11 +12,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from appl_dist.actor.world_split import select_worlds, split_groups
+from appl_dist.actor.world_split import all_worlds, select_worlds, split_groups
 from appl_dist.config import Settings, as_dict, cores
 from appl_dist.errors import UserError
 from appl_dist.evaluate.workers import Crew
-from appl_dist.launch.environment import check_environment, environment_arguments
+from appl_dist.launch.environment import check_environment, check_not_trained_on, environment_arguments
 from appl_dist.launch.report_commands import open_env
 from appl_dist.launch.runs import listen, make_folder, new_id
 from appl_dist.launch.view import make_console
@@ -56,8 +56,10 @@ def evaluate_methods(
     """Evaluate (label, policy) pairs under `settings` into `folder` and report. run: the training run it belongs to."""
     from appl_dist.evaluate.comparison import evaluate as run_evaluation
 
+    check_not_trained_on(settings, methods)
     world = settings.world
     worlds = select_worlds(world.path, world.count, world.seed, settings.evaluation.worlds)
+    everything = [w.index for w in all_worlds(world.path, world.count, world.seed)]
     with _workers(settings, folder) as workers:
         run_evaluation(
             methods,
@@ -66,7 +68,7 @@ def evaluate_methods(
             folder,
             protocol=settings.protocol,
             environment=environment_arguments(settings),
-            groups=split_groups(world.path, [w.index for w in worlds]),
+            groups=split_groups(world.path, everything, [w.index for w in worlds]),
             workers=workers,
             seed=settings.run.seed,
             settings=as_dict(settings),

@@ -22,7 +22,7 @@ from appl_dist.actor.spool import Spool, SpoolInUse
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import PassingFault, UserError
 from appl_dist.files import explain
-from appl_dist.launch.environment import EVALUATION, environment_arguments, worlds_of
+from appl_dist.launch.environment import EVALUATION, environment_arguments, training_of, worlds_of
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import announce, announce_gone, listen, prepare, require_run, run_id_of, whereabouts
 from appl_dist.spec import SPACES
@@ -113,6 +113,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         failed_time_s=settings.protocol.failed_time_s,
         sigma=settings.explore.sigma,
         sync=settings.run.sync,
+        training=training_of(settings),
     )
     return Learner(bus, run, settings.learner)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from appl_dist.config import CONFIG_FILE, Settings, as_dict, load_continued, read_frozen
 from appl_dist.errors import UserError
 from appl_dist.files import explain, write_atomic, write_new
-from appl_dist.launch.environment import check_environment
+from appl_dist.launch.environment import check_environment, check_split
 from appl_dist.wire.control import fetch_run
 from appl_dist.wire.credentials import VIEWER
 from appl_dist.wire.key_expressions import is_name
@@ -50,6 +50,7 @@ def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Pa
         run = replace(frozen.run, transitions=settings.run.transitions, minutes=settings.run.minutes)
         return _freeze(replace(frozen, run=run, wire=settings.wire, launch=settings.launch), folder), folder
     check_environment(settings)  # before there is a folder: a mistake leaves nothing behind
+    check_split(settings)
     return _create(settings, folder)
 
 

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -220,7 +220,7 @@ class Learner:
             raise Diverged("the policy holds a value that is not finite")
         return PolicyFile(
             weights, biases, space=self.run_info.space, epoch=self.epoch, version=self.version,
-            transitions=self.replay.transitions_total,
+            transitions=self.replay.transitions_total, training=self.run_info.training,
         )  # fmt: skip
 
     def _publish(self) -> None:
@@ -231,7 +231,7 @@ class Learner:
         self.version += 1
         self.statistics.current = (self.epoch, self.version)
         try:
-            blob = self._policy().to_bytes(half=True)
+            blob = replace(self._policy(), training=None).to_bytes(half=True)
         except ValueError as error:  # a weight that is not finite, or beyond float16
             raise Diverged(str(error)) from None
         self.publisher.publish(self.epoch, self.version, blob)

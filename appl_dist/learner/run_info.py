@@ -1,4 +1,4 @@
-"""What a learner is told of the run it serves."""
+"""The run that a learner serves."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from appl_dist.policy_file import Training
 from appl_dist.spec import ParameterSpace
 
 
@@ -24,3 +25,4 @@ class Run:
     failed_time_s: float
     sigma: Callable[[int], float]  # exploration noise after so many transitions, for the status
     sync: bool = False  # what is acknowledged is on the disk
+    training: Training | None = None  # what policy files say of where they come from

@@ -8,6 +8,7 @@ Metric Ground Navigation", SSRR 2020.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 import tarfile
@@ -51,6 +52,13 @@ class World:
     def density(self) -> float:
         """Share of filled cells in the field, its two side walls left out."""
         return float(field_grid(self.cylinders)[1:-1].mean())
+
+
+def course_of(world: World) -> str:
+    """Fingerprint of a world's geometry: equal for equal courses, wherever they were loaded from."""
+    digest = hashlib.sha256(world.cylinders.tobytes())
+    digest.update(world.path_official.tobytes())
+    return digest.hexdigest()[:8]
 
 
 def path_frames(cells: NDArray[np.integer]) -> tuple[Floats, Floats]:
@@ -176,7 +184,7 @@ def _load_compact(worlds_file: Path) -> list[World]:
     paths_file = worlds_file.with_name("barn_paths.npz")
     if not paths_file.is_file():
         raise UserError(f"{paths_file}: missing; the reference paths must lie beside {worlds_file.name}")
-    kinds = {"centers": ("f", 2), "offsets": ("i", 1), "radius": ("f", 0), "metrics": ("f", 2)}
+    kinds = {"centers": ("f", 2), "offsets": ("i", 1), "metrics": ("f", 2)}
     data = _read_npz(worlds_file, kinds)
     routes = _read_npz(paths_file, {"cells": ("i", 2), "offsets": ("i", 1)})
     count = len(data["offsets"]) - 1
@@ -186,12 +194,10 @@ def _load_compact(worlds_file: Path) -> list[World]:
         raise UserError(f"{paths_file}: offsets: {len(routes['offsets']) - 1} paths for {count} worlds")
     if data["centers"].shape[1:] != (2,) or data["metrics"].shape != (count, 5):
         raise UserError(f"{worlds_file}: centers must be (n, 2) and metrics ({count}, 5)")
-    radius = round(float(data["radius"]), 6)
-    if not 0.0 < radius <= 10.0:
-        raise UserError(f"{worlds_file}: radius: got {radius:g} m; allowed 0..10")
+    radii = _radii(worlds_file, len(data["centers"]))
     # float32 in the file; the SDF files give six decimals.
     centers = np.round(data["centers"].astype(np.float64), 6)
-    cylinders = np.column_stack([centers, np.full(len(centers), radius)])
+    cylinders = np.column_stack([centers, radii])
     cylinders.setflags(write=False)
     cells = _check_all_cells(routes["cells"], routes["offsets"], paths_file)
     aligned, official = path_frames(cells)
@@ -205,6 +211,19 @@ def _load_compact(worlds_file: Path) -> list[World]:
         set_index = i // WORLDS_PER_SET % SETS
         worlds.append(World(i, f"world_{i}", cylinders[c], aligned[p], official[p], metrics[i], set_index))
     return worlds
+
+
+def _radii(file: Path, count: int) -> Floats:
+    """(count,) radii, m: one for all, or one for each cylinder."""
+    with np.load(file, allow_pickle=False) as archive:
+        axes = 1 if "radius" in archive.files and archive["radius"].ndim == 1 else 0
+    radii = np.round(_read_npz(file, {"radius": ("f", axes)})["radius"].astype(np.float64), 6)
+    if axes and len(radii) != count:
+        raise UserError(f"{file}: radius: got {len(radii)} for {count} cylinders; expected one for all or one for each")
+    if not ((radii > 0.0) & (radii <= 10.0)).all():
+        raise UserError(f"{file}: radius: got {radii.min():g}..{radii.max():g} m; allowed above 0 up to 10")
+    found: Floats = np.broadcast_to(radii, count)
+    return found
 
 
 def _read_npz(file: Path, wanted: dict[str, tuple[str, int]]) -> dict[str, NDArray]:

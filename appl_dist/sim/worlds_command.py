@@ -14,7 +14,7 @@ from appl_dist.arguments import ArgumentParser
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.sim.difficulty import NAMES, Grid, c_space
-from appl_dist.sim.generator import generate_world, generate_worlds
+from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.worlds import FIELD_ORIGIN, RADIUS_M, SETS, World, field_grid, load_worlds, path_cells
 
 
@@ -31,6 +31,8 @@ def worlds_main(argv: list[str]) -> int:
     convert = verbs.add_parser("convert", help="write the compact files of .world files: read in 10 ms, not 7 s")
     convert.add_argument("path", type=Path, help="folder or tar archive of world_<i>.world and path_files")
     convert.add_argument("out", type=Path, help="folder to write into")
+    for verb in (make, convert):
+        verb.add_argument("--force", action="store_true", help="replace the worlds that the folder holds")
     stats = verbs.add_parser("stats", help="cylinders, density and difficulty of each of the twelve sets")
     stats.add_argument("path", type=Path)
     draw = verbs.add_parser("draw", help="draw one world")
@@ -44,9 +46,11 @@ def worlds_main(argv: list[str]) -> int:
     elif args.verb == "generate":
         if args.count < 1 or args.seed < 0:
             raise UserError(f"--count and --seed: got {args.count} and {args.seed}; at least 1 and 0")
+        _refuse_to_replace(args.path, args.force)
         save_worlds(generate_worlds(args.count, args.seed), args.path)
         _say(f"{args.count} worlds of seed {args.seed} in {args.path}")
     elif args.verb == "convert":
+        _refuse_to_replace(args.out, args.force)
         worlds = load_worlds(args.path)
         if [w.index for w in worlds] != list(range(len(worlds))):
             raise UserError(f"{args.path}: the compact format needs worlds 0, 1, … without a gap")
@@ -55,9 +59,20 @@ def worlds_main(argv: list[str]) -> int:
     elif args.verb == "stats":
         _say(statistics_table(load_worlds(args.path)))
     else:
+        if args.out.exists() and args.out.suffix.lower() != ".png":
+            raise UserError(f"--out: {args.out} exists and is no PNG file; choose another name")
         draw_world(_pick(args.path, args.index, args.seed), args.out)
         _say(f"{args.out}")
     return 0
+
+
+def _refuse_to_replace(folder: Path, force: bool) -> None:
+    """UserError if `folder` holds worlds already, in either format."""
+    if force or not folder.is_dir():
+        return
+    held = next((file for pattern in ("barn_*.npz", "world_*.world") for file in folder.glob(pattern)), None)
+    if held is not None:
+        raise UserError(f"{held} exists; choose another folder, or replace these worlds with --force")
 
 
 def _say(text: str) -> None:
@@ -117,7 +132,7 @@ def save_worlds(worlds: list[World], folder: Path) -> None:
         folder / "barn_worlds.npz",
         centers=np.concatenate([w.cylinders[:, :2] for w in worlds]).astype(np.float32),
         offsets=_offsets([len(w.cylinders) for w in worlds]),
-        radius=np.float32(RADIUS_M),
+        radius=_one_or_all(np.concatenate([w.cylinders[:, 2] for w in worlds])),
         height=np.float32(1.0),
         grid=np.packbits(grids, axis=2),
         cspace=np.packbits(c_space(grids), axis=2),
@@ -130,6 +145,12 @@ def save_worlds(worlds: list[World], folder: Path) -> None:
         xy_official=np.concatenate([w.path_official for w in worlds]).astype(np.float32),
         xy_aligned=np.concatenate([w.path for w in worlds]).astype(np.float32),
     )
+
+
+def _one_or_all(radii: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The radius of all cylinders, () where they have the same, else (n,)."""
+    found = radii.astype(np.float32)
+    return np.asarray(found[0]) if (found == found[0]).all() else found
 
 
 def _offsets(counts: list[int]) -> NDArray[np.int32]:

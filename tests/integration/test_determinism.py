@@ -16,7 +16,7 @@ import pytest
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.planner.parameters import Arithmetic, PlannerSettings
-from appl_dist.sim.generator import generate_worlds
+from appl_dist.sim.generate import generate_worlds
 
 EPISODES = 50
 WORLDS = generate_worlds(10, seed=5)

@@ -26,6 +26,7 @@ SMALL = [
     "learner.td3.hidden=[32,32]",
     "learner.replay_capacity=10000",
     "learner.checkpoint_every_s=2",
+    "world.train=2:6",
     "evaluation.worlds=0:2",
     "evaluation.trials=2",
     "evaluation.workers=2",

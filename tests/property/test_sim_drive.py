@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from appl_dist.sim.generator import generate_world
+from appl_dist.sim.generate import generate_world
 from appl_dist.sim.simulator import Simulator
 
 commands = st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(-5.0, 5.0), st.integers(1, 400)), min_size=1, max_size=12)

@@ -16,7 +16,7 @@ from appl_dist.actor.exploration import ExplorationSettings
 from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.spool import Spool
 from appl_dist.policy_file import PolicyFile
-from appl_dist.sim.generator import generate_worlds
+from appl_dist.sim.generate import generate_worlds
 from appl_dist.spec import OBSERVATION_SIZE
 from appl_dist.wire.codec import decode_rollout
 from appl_dist.wire.status import Progress

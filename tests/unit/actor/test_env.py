@@ -15,7 +15,7 @@ from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.rollout import collect, run_episode
 from appl_dist.policy.fixed import default_policy
 from appl_dist.policy.load import load_policy
-from appl_dist.sim.generator import generate_worlds
+from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.worlds import World
 from appl_dist.spec import BEARING, DWA, PARAMETERS, SCAN
 

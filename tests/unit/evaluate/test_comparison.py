@@ -16,7 +16,7 @@ from appl_dist.errors import UserError
 from appl_dist.evaluate.comparison import evaluate
 from appl_dist.evaluate.folder import read_evaluation
 from appl_dist.evaluate.trial_replay import check_settings, find_trial, replay
-from appl_dist.sim.generator import generate_worlds
+from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.worlds import World
 
 METHODS = [("default", "default"), ("fixed", "set:max_vel_x=1,vx_samples=10"), ("mine", "appld:no-context")]

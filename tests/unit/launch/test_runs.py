@@ -12,14 +12,17 @@ import pytest
 
 from appl_dist.config import Settings, load
 from appl_dist.errors import UserError
+from appl_dist.launch.environment import check_not_trained_on, training_of
 from appl_dist.launch.roles import Patience, open_spool
 from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare, require_run, run_id_of, whereabouts
 from appl_dist.launch.status import check
 from appl_dist.overrides import quoted
+from appl_dist.policy_file import PolicyFile
+from appl_dist.spec import DWA
 from appl_dist.wire.key_expressions import is_name
 from appl_dist.wire.status import ActorStatus, RunStatus
 
-SMALL = ["world.count=6", "evaluation.worlds=0:2"]
+SMALL = ["world.count=6", "evaluation.worlds=0:1"]
 
 
 def test_a_resumed_run_keeps_its_configuration_and_its_length(tmp_path: Path) -> None:
@@ -105,6 +108,24 @@ def test_of_two_that_want_one_folder_one_gets_it(tmp_path: Path) -> None:
         found = list(pool.map(make, given))
     assert found.count(run_id_of(tmp_path / "a")) == 1
     assert sum("already holds a run" in text for text in found) == 7
+
+
+def test_a_run_is_not_evaluated_on_its_training_worlds_unless_asked(tmp_path: Path) -> None:
+    arguments = ["world.count=6", "evaluation.worlds=0:3", f"run.folder={tmp_path / 'a'}"]
+    with pytest.raises(UserError, match=r"evaluation\.worlds: 2 of the worlds in '0:3' are among the training worlds"):
+        prepare(load(arguments))
+    assert not (tmp_path / "a").exists()
+    prepare(load([*arguments, "evaluation.training_worlds=true"]))
+
+
+def test_a_policy_says_where_it_was_trained_and_is_not_tested_there(tmp_path: Path) -> None:
+    settings = load(["world.count=6", "world.train=1:4", "evaluation.worlds=3:5"])
+    fixed = PolicyFile(values=DWA.defaults, training=training_of(settings))
+    fixed.save(tmp_path / "p")
+    assert PolicyFile.load(tmp_path / "p").training == fixed.training
+    with pytest.raises(UserError, match=r"mine was trained on 1 of these 2 worlds, 3 among them"):
+        check_not_trained_on(settings, [("mine", str(tmp_path / "p"))])
+    check_not_trained_on(load(["world.count=6", "evaluation.worlds=0:1"]), [("mine", str(tmp_path / "p"))])
 
 
 def test_where_the_learner_is(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from appl_dist.evaluate.comparison import evaluate
 from appl_dist.evaluate.folder import read_evaluation
 from appl_dist.evaluate.trial_replay import Recording, replay
 from appl_dist.report import film, maps
-from appl_dist.sim.generator import generate_worlds
+from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.robot import RobotSettings
 
 SHORT = replace(PROTOCOLS["appl"], limit_s=6.0)

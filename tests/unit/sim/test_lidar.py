@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appl_dist.sim.bullet import BulletBody
-from appl_dist.sim.generator import generate_world
+from appl_dist.sim.generate import generate_world
 from appl_dist.sim.robot import LidarSettings
 from appl_dist.sim.simulator import Simulator
 from tests.unit.sim.courses import course

@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from appl_dist._native import Robot
-from appl_dist.sim.generator import generate_world, generate_worlds
+from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.robot import RobotSettings
 from appl_dist.sim.simulator import Simulator
 from appl_dist.sim.worlds import World

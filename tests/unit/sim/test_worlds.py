@@ -12,7 +12,7 @@ import pytest
 
 from appl_dist.errors import UserError
 from appl_dist.sim.difficulty import c_space, difficulty
-from appl_dist.sim.generator import generate_world, generate_worlds
+from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.sdf import parse_sdf
 from appl_dist.sim.worlds import field_grid, load_worlds, path_cells
 from appl_dist.sim.worlds_command import save_worlds
@@ -33,8 +33,10 @@ MODEL = """    <model name='unit_cylinder_{k}'>
 
 def sdf(*cylinders: tuple[object, object, object]) -> str:
     models = "".join(MODEL.format(k=k, x=x, y=y, radius=r) for k, (x, y, r) in enumerate(cylinders))
-    ground = "    <model name='ground_plane'><link><collision><plane/></collision></link></model>\n"
-    state = "    <state world_name='default'><model name='unit_cylinder_0'><pose>7 7 0 0 0 0</pose></model></state>\n"
+    ground = (
+        "    <model name='ground_plane'><link><collision><geometry><plane/></geometry></collision></link></model>\n"
+    )
+    state = "    <state world_name='default'><model name='ground_plane'><pose>0 0 0 0 0 0</pose></model></state>\n"
     return f"<sdf version='1.6'>\n  <world name='default'>\n{ground}{models}{state}  </world>\n</sdf>\n"
 
 
@@ -92,7 +94,7 @@ def test_metrics_are_the_published_ones() -> None:
     assert (read_off != closed).sum() <= 1
 
 
-def test_reads_only_static_collision_cylinders() -> None:
+def test_reads_collision_cylinders() -> None:
     cylinders = parse_sdf(sdf((1.5, -2, 0.075), (3, 4, 0.1)).encode(), "a.world")
     np.testing.assert_array_equal(cylinders, [(1.5, -2, 0.075), (3, 4, 0.1)])
 
@@ -103,8 +105,8 @@ def test_reads_only_static_collision_cylinders() -> None:
         (sdf((1, "x", 0.075)), 6, "<pose> got '1 x 0 0 0 0'"),
         (sdf((1, "nan", 0.075)), 6, "expected 6 finite"),
         (sdf((1, 2, "wide")), 9, "<radius> got 'wide'"),
-        (sdf((1, 2, -0.1)), 13, "radius -0.1 m"),
-        (sdf((1, 2, 0.1)).replace(" 0 0 0 0</pose>", " 0 0.5 0 0</pose>", 1), 13, "tilted"),
+        (sdf((1, 2, -0.1)), 9, "radius -0.1 m"),
+        (sdf((1, 2, 0.1)).replace(" 0 0 0 0</pose>", " 0 0.5 0 0</pose>", 1), 6, "tilted"),
         (sdf((1, 2, 0.1)).replace("</link>", "</lnk>", 1), 3, "not well-formed"),
     ],
 )

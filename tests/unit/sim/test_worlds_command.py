@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from appl_dist.errors import UserError
-from appl_dist.sim.worlds_command import worlds_main
+from appl_dist.sim.generate import generate_world
+from appl_dist.sim.worlds import load_worlds
+from appl_dist.sim.worlds_command import save_worlds, worlds_main
 from tests.unit.sim.test_worlds import world_folder
 
 
@@ -40,3 +43,27 @@ def test_what_the_user_gets_wrong_is_a_sentence(tmp_path: Path) -> None:
 def test_an_unknown_verb_is_named() -> None:
     with pytest.raises(UserError, match=r"'paint'.*choose from 'check'"):
         worlds_main(["paint"])
+
+
+def test_worlds_that_are_there_are_not_replaced_unless_forced(tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    worlds_main(["generate", str(folder), "--count", "3"])
+    before = {file: file.read_bytes() for file in folder.iterdir()}
+    for arguments in (["generate", str(folder), "--count", "2"], ["convert", str(folder), str(folder)]):
+        with pytest.raises(UserError, match=r"exists; choose another folder, or replace these worlds with --force"):
+            worlds_main(arguments)
+    assert {file: file.read_bytes() for file in folder.iterdir()} == before
+    worlds_main(["generate", str(folder), "--count", "2", "--force"])
+    assert len(load_worlds(folder)) == 2
+
+
+def test_the_compact_format_keeps_every_radius(tmp_path: Path) -> None:
+    world = generate_world(0, 0)
+    cylinders = world.cylinders.copy()
+    cylinders[:3, 2] = 0.2, 0.05, 0.123
+    save_worlds([replace(world, cylinders=cylinders)], tmp_path / "a")
+    (found,) = load_worlds(tmp_path / "a")
+    assert found.cylinders == pytest.approx(cylinders, abs=1e-6)
+    cylinders[:, 2] = 0.2
+    save_worlds([replace(world, cylinders=cylinders)], tmp_path / "b")
+    assert set(load_worlds(tmp_path / "b")[0].cylinders[:, 2]) == {0.2}

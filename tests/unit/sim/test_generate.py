@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appl_dist.sim.difficulty import GRID, c_space
-from appl_dist.sim.generator import find_path, generate_world, generate_worlds, smooth, world_cylinders
+from appl_dist.sim.generate import find_path, generate_world, generate_worlds, smooth, world_cylinders
 from appl_dist.sim.worlds import field_grid, load_worlds, path_cells
 from tests.shared_data import shared
 
