@@ -34,6 +34,7 @@ from appl_dist.errors import UserError
 from appl_dist.launch.launch_settings import LaunchSettings
 from appl_dist.learner.settings import LearnerSettings
 from appl_dist.planner.parameters import Arithmetic, PlannerSettings
+from appl_dist.policy.observation import OBSERVATIONS
 from appl_dist.sim.simulator import LidarSettings, RobotSettings
 from appl_dist.spec import SPACES
 from appl_dist.wire.wire_settings import MAX_ACTORS, WireSettings
@@ -100,6 +101,7 @@ class EnvSettings:
 
     decision_period_s: float = 2.0
     space: str = "dwa"
+    observation: str = "paper"
     training_arithmetic: Arithmetic = "fast"
 
     def __post_init__(self) -> None:
@@ -181,6 +183,8 @@ class Settings:
         if not self.evaluation.methods:
             raise ValueError("evaluation.methods: got none; expected at least one, as in +evaluation.methods.mine=FILE")
         _one_of("env.space", self.env.space, SPACES)
+        if self.env.observation not in OBSERVATIONS:
+            _one_of("env.observation", self.env.observation, OBSERVATIONS.names())
         if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):
             raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
 

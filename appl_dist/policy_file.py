@@ -26,24 +26,16 @@ from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
 from appl_dist.spec import (
     DWA,
-    LIDAR_BEAMS,
-    LIDAR_CLIP_M,
-    OBSERVATION_SIZE,
+    PAPER,
     SPACES,
     FloatArray,
+    ObservationLayout,
     Parameter,
     ParameterSpace,
 )
 
-FORMAT = 1
+FORMAT = 2
 ACTIVATION = "relu"  # between layers; the output layer is always tanh
-# What an observation meant when the policy was trained. Raise `version` when spec.py changes its meaning.
-OBSERVATION_LAYOUT: dict[str, Any] = {
-    "version": 1,
-    "size": OBSERVATION_SIZE,
-    "lidar_beams": LIDAR_BEAMS,
-    "lidar_clip_m": LIDAR_CLIP_M,
-}
 _HEADER_KEY = "appl_policy"
 _HALF_MAX = float(np.finfo(np.float16).max)
 _MAX_HEADER_BYTES = 1 << 20
@@ -76,6 +68,7 @@ class PolicyFile:
     version: int = 0
     transitions: int = 0
     training: Training | None = None  # None: unknown, as for a fixed set or a file made elsewhere
+    observation: ObservationLayout = PAPER
 
     def __post_init__(self) -> None:
         for name in ("epoch", "version", "transitions"):
@@ -93,7 +86,7 @@ class PolicyFile:
     def _check_layers(self) -> None:
         if len(self.weights) != len(self.biases):
             raise ValueError(f"biases: got {len(self.biases)}; {len(self.weights)} weights need as many")
-        fan_in = OBSERVATION_SIZE
+        fan_in = self.observation.size
         for i, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             for name, array in ((f"weight.{i}", w), (f"bias.{i}", b)):
                 if array.dtype != np.float32:
@@ -120,7 +113,7 @@ class PolicyFile:
         dtype = np.float16 if half else np.float32
         header = {
             "format": FORMAT,
-            "observation": OBSERVATION_LAYOUT,
+            "observation": asdict(self.observation),
             "activation": ACTIVATION,
             "layers": len(self.weights),
             "space": _space_to_plain(self.space),
@@ -212,6 +205,17 @@ def _space_from_plain(plain: Any) -> ParameterSpace:
     return known or space
 
 
+def _observation_from_plain(plain: Any) -> ObservationLayout:
+    name = _take(plain, "name", str, "observation.name")
+    scan_size, size, version = (
+        _take(plain, key, int, f"observation.{key}") for key in ("scan_size", "size", "version")
+    )
+    clip_m = float(_take(plain, "clip_m", (int, float), "observation.clip_m"))
+    if not 0.0 < clip_m < math.inf:
+        raise ValueError(f"observation.clip_m: got {clip_m}; allowed above 0, finite")
+    return ObservationLayout(name, scan_size, size, clip_m, version)
+
+
 def _take(mapping: Any, key: str, kind: type | tuple[type, ...], label: str) -> Any:
     if not isinstance(mapping, Mapping) or key not in mapping:
         raise ValueError(f"{label}: missing from the header")
@@ -233,8 +237,6 @@ def _read_header(blob: bytes) -> dict[str, Any]:
     header = json.loads(_take(_take(outer, "__metadata__", dict, "__metadata__"), _HEADER_KEY, str, _HEADER_KEY))
     if _take(header, "format", int, "format") != FORMAT:
         raise ValueError(f"format: got {header['format']}; this version reads {FORMAT}")
-    if _take(header, "observation", dict, "observation") != OBSERVATION_LAYOUT:
-        raise ValueError(f"observation: trained on {header['observation']}; this version has {OBSERVATION_LAYOUT}")
     if _take(header, "activation", str, "activation") != ACTIVATION:
         raise ValueError(f"activation: got {header['activation']!r}; allowed {ACTIVATION!r}")
     return dict(header)
@@ -257,6 +259,7 @@ def _from_parts(header: dict[str, Any], tensors: dict[str, NDArray[Any]]) -> Pol
         version=_take(header, "version", int, "version"),
         transitions=_take(header, "transitions", int, "transitions"),
         training=_training(header["training"]) if "training" in header else None,
+        observation=_observation_from_plain(_take(header, "observation", dict, "observation")),
     )
 
 

@@ -13,15 +13,28 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 
-WIRE_VERSION = 2  # raised whenever a layout below or a wire header changes
+WIRE_VERSION = 3  # raised whenever a layout below or a wire header changes
 
-LIDAR_BEAMS = 720
-LIDAR_CLIP_M = 2.0  # observation clips ranges here (APPL journal, Sec. V-D)
-OBSERVATION_SIZE = LIDAR_BEAMS + 1 + 8
-SCAN = slice(0, LIDAR_BEAMS)  # ranges clipped to LIDAR_CLIP_M, scaled to [-1, 1]
-BEARING = LIDAR_BEAMS  # bearing of the local goal in the robot frame / pi
 VALUE_DECIMALS = 6  # of parameter values that an action stands for
-PARAMETERS = slice(LIDAR_BEAMS + 1, OBSERVATION_SIZE)  # parameters in force, scaled to [-1, 1]
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """What an observation of `size` float32 entries means: its first `scan_size` are ranges scaled to [-1, 1].
+
+    `name` and `version` say what the entries mean (policy/observation.py builds them); raise `version` when that
+    changes. clip_m: ranges are clipped here.
+    """
+
+    name: str
+    scan_size: int
+    size: int
+    clip_m: float
+    version: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.scan_size <= self.size or self.size < 1:
+            raise ValueError(f"observation {self.name!r}: scan of {self.scan_size} entries in {self.size}")
 
 
 @dataclass(frozen=True)
@@ -111,16 +124,22 @@ DWA_WIDE = _dwa_space(
 )
 SPACES = {s.name: s for s in (DWA, DWA_WIDE)}
 
+# The papers' observation (APPL journal, Sec. V-D) of the Jackal's lidar and DWA's parameters: the default where no
+# environment says otherwise.
+LIDAR_BEAMS = 720
+PAPER = ObservationLayout("paper", LIDAR_BEAMS, LIDAR_BEAMS + 1 + len(DWA), clip_m=2.0)
+OBSERVATION_SIZE = PAPER.size
+
 
 @dataclass(frozen=True)
 class Rollout:
     """A run of n consecutive transitions of one episode, each observation once.
 
-    observations (n + 1, OBSERVATION_SIZE) float32, actions (n, 8) float32 as executed (clipped),
-    rewards (n,) float32. `terminal`: the last transition ended the episode for good; without it the
-    run was truncated (time limit, or the actor stopping) and learning bootstraps from the last
-    observation. `info` holds plain msgpack values: world, seed, success, collision, time_s, distance_m,
-    return, and the `policy_version` that chose the actions.
+    observations (n + 1, size) float32, actions (n, a) float32 as executed (clipped), rewards (n,) float32. The first
+    `scan_size` entries of an observation are its scan, in [-1, 1]. `terminal`: the last transition ended the episode
+    for good; without it the run was truncated (time limit, or the actor stopping) and learning bootstraps from the
+    last observation. `info` holds plain msgpack values: world, seed, success, collision, time_s, distance_m, return,
+    and the `policy_version` that chose the actions.
     """
 
     observations: FloatArray
@@ -128,6 +147,7 @@ class Rollout:
     rewards: FloatArray
     terminal: bool
     info: dict[str, Any]
+    scan_size: int = LIDAR_BEAMS
 
     def __len__(self) -> int:
         return len(self.rewards)
@@ -136,16 +156,19 @@ class Rollout:
         """Raise ValueError naming the first field whose shape, dtype or numbers cannot be."""
         n = len(self.rewards)
         wanted = {
-            "observations": (self.observations, (n + 1, OBSERVATION_SIZE)),
-            "actions": (self.actions, (n, self.actions.shape[-1] if self.actions.ndim else 0)),
+            "observations": (self.observations, (n + 1, *self.observations.shape[1:2])),
+            "actions": (self.actions, (n, *self.actions.shape[1:2])),
             "rewards": (self.rewards, (n,)),
         }
         if n < 1:
             raise ValueError("rewards: got 0 transitions; a rollout has at least 1")
         for name, (array, shape) in wanted.items():
-            if array.shape != shape or array.dtype != np.float32:
+            wrong = array.shape != shape or (name != "rewards" and array.ndim != 2)
+            if wrong or array.dtype != np.float32:
                 raise ValueError(f"{name}: got {array.dtype}{array.shape}; expected float32{shape}")
             if not np.isfinite(array).all():
                 raise ValueError(f"{name}: holds a value that is not finite")
-        if np.abs(self.actions).max() > 1.0:
+        if not 0 <= self.scan_size <= self.observations.shape[1]:
+            raise ValueError(f"observations: got {self.observations.shape[1]} entries with a scan of {self.scan_size}")
+        if np.abs(self.actions).max(initial=0.0) > 1.0:
             raise ValueError(f"actions: got {np.abs(self.actions).max():g}; allowed -1..1")

@@ -33,7 +33,7 @@ from appl_dist.actor.spool import Spool
 from appl_dist.config import from_dict
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.spec import DWA, OBSERVATION_SIZE, PARAMETERS, Rollout
+from appl_dist.spec import DWA, LIDAR_BEAMS, OBSERVATION_SIZE, Rollout
 from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, fetch_run
 from appl_dist.wire.liveness import Presence
@@ -79,10 +79,10 @@ def actor(address: str, folder: Path, seed: int, rate_hz: float) -> None:
 
 def episode(explorer: Explorer, rng: np.random.Generator) -> Rollout:
     observations = np.zeros((STEPS + 1, OBSERVATION_SIZE), np.float32)
-    observations[:, PARAMETERS] = rng.uniform(-1.0, 1.0, (STEPS + 1, len(DWA)))
+    observations[:, LIDAR_BEAMS + 1 :] = rng.uniform(-1.0, 1.0, (STEPS + 1, len(DWA)))
     epoch, version = explorer.held
     actions = np.stack([explorer.choose(observation) for observation in observations[:-1]])
-    misses = actions - 0.8 * observations[:-1, PARAMETERS]
+    misses = actions - 0.8 * observations[:-1, LIDAR_BEAMS + 1 :]
     rewards = (1.0 - (misses**2).mean(1)).astype(np.float32)
     info = {
         "world": 0, "ended": True, "success": True, "time_s": 0.0, "return_": float(rewards.sum()),

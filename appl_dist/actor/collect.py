@@ -55,7 +55,7 @@ class Explorer:
         rng: np.random.Generator,
     ) -> None:
         self._weights = weights
-        self._space = env.space
+        self._space, self._layout = env.space, env.observation_builder.layout
         self._settings = settings
         self._rng = rng
         self._held: tuple[int, int] = (-1, -1)
@@ -86,7 +86,9 @@ class Explorer:
             return
         self._held = newest[:2]
         try:
-            policy = policy_from_file(PolicyFile.from_bytes(newest[2]), self._space, "weights of the learner")
+            policy = policy_from_file(
+                PolicyFile.from_bytes(newest[2]), self._space, "weights of the learner", self._layout
+            )
             assert isinstance(policy, MLPPolicy)
             self._policy = policy
         except UserError as error:

@@ -6,7 +6,6 @@ is one trial of a protocol in one BARN world.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,24 +19,17 @@ from appl_dist.actor.reward import RewardSettings, reward
 from appl_dist.actor.timing import TimingSettings
 from appl_dist.planner.navigator import Navigator
 from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.policy.observation import OBSERVATIONS
 from appl_dist.sim.simulator import LidarSettings, RobotSettings, Simulator
 from appl_dist.sim.worlds import World
-from appl_dist.spec import (
-    BEARING,
-    DWA,
-    LIDAR_CLIP_M,
-    OBSERVATION_SIZE,
-    PARAMETERS,
-    SCAN,
-    FloatArray,
-    ParameterSpace,
-)
+from appl_dist.spec import DWA, FloatArray, ParameterSpace
 
 
 class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
     """Tunes the planner of a Jackal every `decision_period_s` while it crosses a BARN world.
 
-    Observation float32 (729,), action float32 (n,) in [-1, 1] (see `spec.py`). An episode terminates at the goal, in
+    Observation float32 (size,) of `observation_builder.layout`, action float32 (n,) in [-1, 1], one entry a parameter;
+    the papers' observation of 720 beams and eight parameters has 729 entries. An episode terminates at the goal, in
     a roll-over, or in a collision where the protocol says so; the time limit truncates it. `info` holds time_s,
     success, collision, rolled_over, world, distance_m, min_clearance_m, recoveries and the parameters in force.
 
@@ -54,6 +46,7 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         protocol: Protocol = PROTOCOLS["appl"],
         decision_period_s: float = 2.0,
         space: ParameterSpace = DWA,
+        observation: str = "paper",
         timing: TimingSettings = TimingSettings(),
         rewards: RewardSettings = RewardSettings(),
         planner: PlannerSettings = PlannerSettings(),
@@ -67,10 +60,14 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.worlds = {world.index: world for world in worlds}
         self.protocol = protocol
         self.space = space
+        if unknown := set(space.names) - set(DWA.names):
+            raise ValueError(f"space {space.name!r}: {', '.join(sorted(unknown))}: no parameter of the planner dwa")
+        self._indices = [DWA.names.index(name) for name in space.names]  # the others stay at their defaults
         self.rewards = rewards
         self.period_ms = round(decision_period_s * 1000)
         self.loop = NavigationLoop(Simulator(robot, lidar), Navigator(planner), timing)
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (OBSERVATION_SIZE,), np.float32)
+        self.observation_builder = OBSERVATIONS.get(observation)(lidar.beams, space)
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (self.observation_builder.layout.size,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(space),), np.float32)
         self._order: list[int] = []
 
@@ -125,17 +122,13 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def _apply(self, values: NDArray[np.float64]) -> None:
         self.parameters = values
-        self.loop.navigator.set_parameters(values)
+        in_force = DWA.defaults
+        in_force[self._indices] = values
+        self.loop.navigator.set_parameters(in_force)
 
     def _observe(self, scan: FloatArray) -> FloatArray:
-        observation = np.empty(OBSERVATION_SIZE, np.float32)
-        np.minimum(scan, LIDAR_CLIP_M, out=observation[SCAN])
-        observation[SCAN] *= 2.0 / LIDAR_CLIP_M
-        observation[SCAN] -= 1.0
-        bearing = self.loop.navigator.local_goal_bearing(self.loop.estimate[0])
-        observation[BEARING] = bearing / math.pi
-        observation[PARAMETERS] = self.space.to_action(self.parameters)
-        return observation
+        bearing_rad = self.loop.navigator.local_goal_bearing(self.loop.estimate[0])
+        return self.observation_builder.build(scan, bearing_rad, self.parameters)
 
     def _info(self) -> dict[str, Any]:
         loop, simulator = self.loop, self.loop.simulator

@@ -15,7 +15,7 @@ from appl_dist.spec import FloatArray, Rollout
 
 class Policy(Protocol):
     def act(self, observation: FloatArray) -> FloatArray:
-        """Action (n,) in [-1, 1] for an observation (729,)."""
+        """Action (n,) in [-1, 1] for an observation (size,)."""
         ...
 
 
@@ -80,6 +80,7 @@ def collect(
         np.asarray(rewards, np.float32),
         terminated,
         _episode_info(info, float(np.sum(rewards)), ended=terminated or truncated, seed=seed),
+        env.observation_builder.layout.scan_size,
     )
 
 

@@ -28,6 +28,7 @@ from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import TRIALS_FILE, Trial, make_jobs, run_jobs
 from appl_dist.evaluate.workers import Crew
 from appl_dist.files import write_atomic
+from appl_dist.sim.robot import LidarSettings
 from appl_dist.sim.worlds import World
 
 log = logging.getLogger(__name__)
@@ -71,7 +72,9 @@ def evaluate(
     if isinstance(workers, int) and workers < 0:
         raise UserError(f"workers: got {workers}; allowed 0 (in this process) or more")
     rules = _protocol(protocol)
-    checked = make_methods(methods, (environment or {}).get("space"))
+    given = environment or {}
+    lidar = given.get("lidar", LidarSettings())
+    checked = make_methods(methods, given.get("space"), given.get("observation", "paper"), lidar.beams)
     chosen = _groups(groups, worlds)
     indices = sorted({w for group in chosen.values() for w in group})
     runner = NavigationRunner(tuple(worlds), checked, {**(environment or {}), "protocol": rules})

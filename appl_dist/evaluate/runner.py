@@ -18,11 +18,13 @@ from appl_dist.actor.rollout import EpisodeResult, run_episode
 from appl_dist.errors import UserError
 from appl_dist.evaluate.trials import Job, Method, Trial, encode_trace
 from appl_dist.policy.load import load_policy
+from appl_dist.policy.observation import OBSERVATIONS
+from appl_dist.sim.robot import LidarSettings
 from appl_dist.sim.worlds import World, course_of
-from appl_dist.spec import DWA, SPACES, ParameterSpace
+from appl_dist.spec import DWA, PAPER, SPACES, ParameterSpace
 
-# Arguments of `NavigationEnv` that no trial depends on: what learning is rewarded for.
-_NO_MATTER = ("rewards", "space")
+# Arguments of `NavigationEnv` that no trial depends on, or only by its policy.
+_NO_MATTER = ("rewards", "space", "observation")
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,11 @@ class _Runner:
         self._protocol = settings.environment.get("protocol", PROTOCOLS["appl"]).name
         self._envs: dict[str, NavigationEnv] = {}  # by parameter space: methods may have different boxes
         default = settings.environment.get("space", DWA)
+        observation = settings.environment.get("observation", PAPER.name)
+        beams = settings.environment.get("lidar", LidarSettings()).beams
         self._policies = {}
         for m in settings.methods:
-            policy, space = _load(m.spec, default)
+            policy, space = _load(m.spec, default, observation, beams)
             self._policies[m.label] = policy, self._env(space)
 
     def _env(self, space: ParameterSpace) -> NavigationEnv:
@@ -104,7 +108,12 @@ def trial_of(job: Job, protocol: str, result: EpisodeResult) -> Trial:
     )
 
 
-def make_methods(methods: Sequence[tuple[str, str]], space: ParameterSpace | None = None) -> tuple[Method, ...]:
+def make_methods(
+    methods: Sequence[tuple[str, str]],
+    space: ParameterSpace | None = None,
+    observation: str = PAPER.name,
+    beams: int = PAPER.scan_size,
+) -> tuple[Method, ...]:
     """Check every (label, policy specification) by loading it; UserError before any process is started.
 
     A policy in a file is fingerprinted by the file's content, any other by its specification.
@@ -117,20 +126,21 @@ def make_methods(methods: Sequence[tuple[str, str]], space: ParameterSpace | Non
             raise UserError(f"methods: label {label!r} is empty or used twice; labels name the rows of results")
     result = []
     for label, spec in methods:
-        _load(spec, space or DWA)
+        _load(spec, space or DWA, observation, beams)
         path = Path(spec.split(":", 1)[-1])
         content = path.read_bytes() if path.is_file() else spec.encode()
         result.append(Method(label, spec, hashlib.sha256(content).hexdigest()[:12]))
     return tuple(result)
 
 
-def _load(spec: str, space: ParameterSpace) -> tuple[Any, ParameterSpace]:
+def _load(spec: str, space: ParameterSpace, observation: str, beams: int) -> tuple[Any, ParameterSpace]:
     """A policy and the box it acts in: another box of the same parameters where it does not fit in `space`."""
+    build = OBSERVATIONS.get(observation)
     try:
-        return load_policy(spec, space), space
+        return load_policy(spec, space, build(beams, space).layout), space
     except UserError:
         for other in SPACES.values():
             if other.names == space.names and other != space:
                 with suppress(UserError):
-                    return load_policy(spec, other), other
+                    return load_policy(spec, other, build(beams, other).layout), other
         raise

@@ -32,6 +32,7 @@ def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = No
     return {
         "decision_period_s": settings.env.decision_period_s,
         "space": SPACES[settings.env.space],
+        "observation": settings.env.observation,
         "timing": settings.timing,
         "rewards": settings.reward,
         "planner": replace(settings.planner, arithmetic=arithmetic or settings.planner.arithmetic),

@@ -25,6 +25,7 @@ from appl_dist.files import explain
 from appl_dist.launch.environment import EVALUATION, environment_arguments, training_of, worlds_of
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import announce, announce_gone, listen, prepare, require_run, run_id_of, whereabouts
+from appl_dist.policy.observation import OBSERVATIONS
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
@@ -112,6 +113,7 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         space=SPACES[settings.env.space],
         failed_time_s=settings.protocol.failed_time_s,
         sigma=settings.explore.sigma,
+        observation=OBSERVATIONS.get(settings.env.observation)(settings.lidar.beams, SPACES[settings.env.space]).layout,
         sync=settings.run.sync,
         training=training_of(settings),
     )

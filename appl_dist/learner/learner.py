@@ -31,7 +31,7 @@ from appl_dist.learner.settings import LearnerSettings
 from appl_dist.learner.td3 import TD3, Diverged, read
 from appl_dist.learner.telemetry import Telemetry
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import OBSERVATION_SIZE, Rollout
+from appl_dist.spec import Rollout
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.codec import Ack, UploadHeader
 from appl_dist.wire.control import ControlServer
@@ -54,9 +54,10 @@ class Learner:
         self.run_info, self.settings = run, settings
         self.replay = Replay(
             run.folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma,
+            observation_size=run.observation.size, scan_size=run.observation.scan_size, action_size=len(run.space),
             priority_exponent=settings.priority_exponent, sync=run.sync,
         )  # fmt: skip
-        self.td3 = TD3(settings.td3, OBSERVATION_SIZE, len(run.space), seeds.stream(run.seed, "learner", "td3"))
+        self.td3 = TD3(settings.td3, run.observation.size, len(run.space), seeds.stream(run.seed, "learner", "td3"))
         self.rng = seeds.generator(run.seed, "learner", "replay")
         self._started = self._opened = time.monotonic()
         self._expected_back = self.replay.actors
@@ -221,6 +222,7 @@ class Learner:
         return PolicyFile(
             weights, biases, space=self.run_info.space, epoch=self.epoch, version=self.version,
             transitions=self.replay.transitions_total, training=self.run_info.training,
+            observation=self.run_info.observation,
         )  # fmt: skip
 
     def _publish(self) -> None:
@@ -261,6 +263,11 @@ class _Sink:
         self._warned: set[str] = set()
 
     def store(self, header: UploadHeader, rollout: Rollout) -> Ack:
+        run = self._learner.run_info
+        got = (rollout.observations.shape[1], rollout.scan_size, rollout.actions.shape[1])
+        wanted = (run.observation.size, run.observation.scan_size, len(run.space))
+        if got != wanted:
+            raise ValueError(f"sizes of observation, scan and action: got {got}; this run has {wanted}")
         ack = self._ingest.store(header, rollout)
         if ack.status == "stored":
             try:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from appl_dist.policy_file import Training
-from appl_dist.spec import ParameterSpace
+from appl_dist.spec import PAPER, ObservationLayout, ParameterSpace
 
 
 @dataclass(frozen=True)
@@ -24,5 +24,6 @@ class Run:
     space: ParameterSpace
     failed_time_s: float
     sigma: Callable[[int], float]  # exploration noise after so many transitions, for the status
+    observation: ObservationLayout = PAPER
     sync: bool = False  # what is acknowledged is on the disk
     training: Training | None = None  # what policy files say of where they come from

@@ -12,14 +12,14 @@ from appl_dist.policy.fixed import PUBLISHED_SETS, StaticPolicy, default_policy,
 from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.registry import Registry
-from appl_dist.spec import FloatArray, ParameterSpace
+from appl_dist.spec import PAPER, FloatArray, ObservationLayout, ParameterSpace
 
 
 class Policy(Protocol):
     """What chooses the planner's parameters once per decision period."""
 
     def act(self, observation: FloatArray) -> FloatArray:
-        """(n,) float32 action in [-1, 1] for an observation (OBSERVATION_SIZE,) float32; a fresh array."""
+        """(n,) float32 action in [-1, 1] for an observation (size,) float32; a fresh array."""
         ...
 
 
@@ -51,7 +51,7 @@ POLICIES: Registry[Factory] = Registry(
 )
 
 
-def load_policy(spec: str, space: ParameterSpace) -> Policy:
+def load_policy(spec: str, space: ParameterSpace, observation: ObservationLayout = PAPER) -> Policy:
     """The policy a user names: `default`, a published set such as `appli:A1` or `appld:curve`,
     `set:max_vel_x=2.0,vx_samples=12` (the rest default), a registered `KIND` or `KIND:TEXT`, or a policy file's path.
     """
@@ -59,15 +59,17 @@ def load_policy(spec: str, space: ParameterSpace) -> Policy:
     if kind in POLICIES:
         return POLICIES.get(kind)(text, space)
     if Path(spec).is_file():
-        return policy_from_file(PolicyFile.load(spec), space, spec)
+        return policy_from_file(PolicyFile.load(spec), space, spec, observation)
     raise UserError(
         f"policy {spec!r}: no such file, nor a name. Allowed: "
         f"{', '.join([*PUBLISHED_SETS, *POLICIES.names()])}, set:NAME=VALUE,..., or a policy file"
     )
 
 
-def policy_from_file(file: PolicyFile, space: ParameterSpace, source: str) -> MLPPolicy | StaticPolicy:
-    """The runnable policy of `file`, refused if it was made for other parameters or bounds than `space`."""
+def policy_from_file(
+    file: PolicyFile, space: ParameterSpace, source: str, observation: ObservationLayout = PAPER
+) -> MLPPolicy | StaticPolicy:
+    """The runnable policy of `file`, refused if it was made for other parameters, bounds or observations."""
     if file.space != space:
         raise UserError(
             f"{source}: made for the parameter space {file.space.name!r}, this run has {space.name!r}; "
@@ -75,4 +77,6 @@ def policy_from_file(file: PolicyFile, space: ParameterSpace, source: str) -> ML
         )
     if file.values is not None:
         return StaticPolicy(file.values, space, source)
+    if file.observation != observation:
+        raise UserError(f"{source}: made for {file.observation}, this run has {observation}")
     return MLPPolicy(file)

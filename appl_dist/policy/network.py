@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import OBSERVATION_SIZE, FloatArray
+from appl_dist.spec import FloatArray
 
 
 class MLPPolicy:
@@ -25,9 +25,10 @@ class MLPPolicy:
         self._activations = [np.empty(len(b), np.float32) for b in file.biases]
 
     def act(self, observation: FloatArray) -> FloatArray:
-        if observation.shape != (OBSERVATION_SIZE,) or observation.dtype != np.float32:
+        size = self.file.observation.size
+        if observation.shape != (size,) or observation.dtype != np.float32:
             got = f"{observation.dtype}{observation.shape}"
-            raise ValueError(f"observation: got {got}; expected float32({OBSERVATION_SIZE},)")
+            raise ValueError(f"observation: got {got}; expected float32({size},)")
         x = observation
         last = len(self._weights) - 1
         for i, (w, b, out) in enumerate(zip(self._weights, self.file.biases, self._activations, strict=True)):

@@ -4,8 +4,8 @@ A rollout is one self-contained blob, the same in the spool file and on the wire
 
     4 bytes   CRC-32 of everything after it
     4 bytes   length of the layout
-    layout    msgpack map: transitions, observation_size, action_size, terminal, info
-    arrays    scan (n + 1, 720) uint16 | rest of the observation (n + 1, 9) float32
+    layout    msgpack map: transitions, observation_size, scan_size, action_size, terminal, info
+    arrays    scan (n + 1, scan_size) uint16 | rest of the observation (n + 1, observation_size - scan_size) float32
               | actions (n, a) float32 | rewards (n,) float32
 
 The scan travels in fixed point, 0..65535 for -1..1, so 50 transitions take 77 KB instead of 150 KB. Scaled
@@ -22,25 +22,39 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import asdict, dataclass, fields
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgpack
 import numpy as np
 
-from appl_dist.spec import OBSERVATION_SIZE, SCAN, WIRE_VERSION, Rollout
+from appl_dist.spec import WIRE_VERSION, Rollout
 from appl_dist.wire.key_expressions import is_name
 
 MAX_TRANSITIONS = 4096
 MAX_ACTION_SIZE = 64
+MAX_OBSERVATION_SIZE = 65_536
 MAX_LAYOUT_BYTES = 64 << 10
 MAX_ROLLOUT_BYTES = 16 << 20
 MAX_HEADER_BYTES = 4 << 10
 MAX_COUNT = 2**53  # sequence numbers, epochs and versions; exact in any language
 
-_SCAN_SIZE = SCAN.stop - SCAN.start
-_REST_SIZE = OBSERVATION_SIZE - _SCAN_SIZE
 _SCAN_SCALE = 65535 / 2
 _PREFIX = struct.Struct("<II")
+
+
+class Sizes(NamedTuple):
+    """How many transitions a rollout holds, and of how many entries: observation, scan within it, action."""
+
+    transitions: int
+    observation: int
+    scan: int
+    action: int
+
+    def array_bytes(self) -> tuple[int, int, int, int]:
+        """Bytes of scan, rest of the observation, actions and rewards."""
+        n = self.transitions
+        rest = self.observation - self.scan
+        return (n + 1) * self.scan * 2, (n + 1) * rest * 4, n * self.action * 4, n * 4
 
 
 def pack(value: Any) -> bytes:
@@ -82,13 +96,17 @@ def encode_rollout(rollout: Rollout) -> bytes:
         raise ValueError(
             f"actions: got shape {rollout.actions.shape}; allowed up to ({MAX_TRANSITIONS}, {MAX_ACTION_SIZE})"
         )
-    scan = rollout.observations[:, SCAN]
-    if np.abs(scan).max() > 1.0 + 1e-5:  # what is within rounding of 1 becomes 1
+    size, scan_size = rollout.observations.shape[1], rollout.scan_size
+    if size > MAX_OBSERVATION_SIZE:
+        raise ValueError(f"observations: got {size} entries; allowed up to {MAX_OBSERVATION_SIZE}")
+    scan = rollout.observations[:, :scan_size]
+    if np.abs(scan).max(initial=0.0) > 1.0 + 1e-5:  # what is within rounding of 1 becomes 1
         raise ValueError(f"observations: scaled range of {np.abs(scan).max():g}; allowed -1..1")
     layout = pack(
         {
             "transitions": n,
-            "observation_size": OBSERVATION_SIZE,
+            "observation_size": size,
+            "scan_size": scan_size,
             "action_size": rollout.actions.shape[1],
             "terminal": bool(rollout.terminal),
             "info": rollout.info,
@@ -100,7 +118,7 @@ def encode_rollout(rollout: Rollout) -> bytes:
         (
             layout,
             (scan * _SCAN_SCALE + (_SCAN_SCALE + 0.5)).astype("<u2").tobytes(),  # truncates to the nearest
-            rollout.observations[:, SCAN.stop :].astype("<f4").tobytes(),
+            rollout.observations[:, scan_size:].astype("<f4").tobytes(),
             rollout.actions.astype("<f4").tobytes(),
             rollout.rewards.astype("<f4").tobytes(),
         )
@@ -118,10 +136,10 @@ def decode_rollout(blob: bytes) -> Rollout:
         raise ValueError(f"layout: got {length} bytes; allowed up to {MAX_LAYOUT_BYTES}, inside the blob")
     offset = _PREFIX.size + length
     layout = unpack_map(blob[_PREFIX.size : offset], MAX_LAYOUT_BYTES)
-    n, action_size = _layout_sizes(layout)
-    sizes = ((n + 1) * _SCAN_SIZE * 2, (n + 1) * _REST_SIZE * 4, n * action_size * 4, n * 4)
-    if offset + sum(sizes) != len(blob):
-        raise ValueError(f"arrays: got {len(blob) - offset} bytes; {n} transitions take {sum(sizes)}")
+    sizes = _layout_sizes(layout)
+    n, size, scan_size, action_size = sizes
+    if offset + sum(sizes.array_bytes()) != len(blob):
+        raise ValueError(f"arrays: got {len(blob) - offset} bytes; {n} transitions take {sum(sizes.array_bytes())}")
 
     def take(dtype: str, count: int, *shape: int) -> np.ndarray:
         nonlocal offset
@@ -129,20 +147,20 @@ def decode_rollout(blob: bytes) -> Rollout:
         offset += array.nbytes
         return array.reshape(shape)
 
-    observations = np.empty((n + 1, OBSERVATION_SIZE), np.float32)
-    scan = take("<u2", (n + 1) * _SCAN_SIZE, n + 1, _SCAN_SIZE)
+    observations = np.empty((n + 1, size), np.float32)
+    scan = take("<u2", (n + 1) * scan_size, n + 1, scan_size)
     # A division, so that both ends are exactly -1 and 1.
-    np.subtract(scan / np.float32(_SCAN_SCALE), 1.0, out=observations[:, SCAN], dtype=np.float32)
-    observations[:, SCAN.stop :] = take("<f4", (n + 1) * _REST_SIZE, n + 1, _REST_SIZE)
+    np.subtract(scan / np.float32(_SCAN_SCALE), 1.0, out=observations[:, :scan_size], dtype=np.float32)
+    observations[:, scan_size:] = take("<f4", (n + 1) * (size - scan_size), n + 1, size - scan_size)
     actions = take("<f4", n * action_size, n, action_size).astype(np.float32)
     rewards = take("<f4", n, n).astype(np.float32)
-    rollout = Rollout(observations, actions, rewards, layout["terminal"], layout["info"])
+    rollout = Rollout(observations, actions, rewards, layout["terminal"], layout["info"], scan_size)
     rollout.check()
     return rollout
 
 
-def shape_in(blob: bytes) -> tuple[int, int]:
-    """(transitions, action size) that the blob says it holds; ValueError if it is not a rollout."""
+def sizes_in(blob: bytes) -> Sizes:
+    """The sizes that the blob says it has; ValueError if it is not a rollout."""
     if len(blob) < _PREFIX.size:
         raise ValueError(f"rollout: got {len(blob)} bytes")
     _, length = _PREFIX.unpack_from(blob)
@@ -156,23 +174,25 @@ def is_intact(blob: bytes) -> bool:
     return bool(zlib.crc32(memoryview(blob)[4:]) == struct.unpack_from("<I", blob)[0])
 
 
-def _layout_sizes(layout: dict[str, Any]) -> tuple[int, int]:
-    """(transitions, action size) of a layout map whose fields are all there and of the right kind."""
-    wanted = {"transitions", "observation_size", "action_size", "terminal", "info"}
+def _layout_sizes(layout: dict[str, Any]) -> Sizes:
+    """The sizes in a layout map whose fields are all there and of the right kind."""
+    wanted = {"transitions", "observation_size", "scan_size", "action_size", "terminal", "info"}
     if set(layout) != wanted:
         raise ValueError(f"layout: got fields {sorted(layout)[:8]}; expected {sorted(wanted)}")
-    n, size, actions = (layout[key] for key in ("transitions", "observation_size", "action_size"))
+    n, size, scan, actions = (layout[k] for k in ("transitions", "observation_size", "scan_size", "action_size"))
     if type(n) is not int or not 1 <= n <= MAX_TRANSITIONS:
         raise ValueError(f"transitions: got {n!r:.40}; allowed 1..{MAX_TRANSITIONS}")
-    if size != OBSERVATION_SIZE:
-        raise ValueError(f"observation_size: got {size!r:.40}; expected {OBSERVATION_SIZE}")
+    if type(size) is not int or not 1 <= size <= MAX_OBSERVATION_SIZE:
+        raise ValueError(f"observation_size: got {size!r:.40}; allowed 1..{MAX_OBSERVATION_SIZE}")
+    if type(scan) is not int or not 0 <= scan <= size:
+        raise ValueError(f"scan_size: got {scan!r:.40}; allowed 0..{size}")
     if type(actions) is not int or not 1 <= actions <= MAX_ACTION_SIZE:
         raise ValueError(f"action_size: got {actions!r:.40}; allowed 1..{MAX_ACTION_SIZE}")
     if type(layout["terminal"]) is not bool or not isinstance(layout["info"], dict):
         raise ValueError("terminal, info: expected a bool and a map")
     if not all(isinstance(key, str) for key in layout["info"]):
         raise ValueError("info: expected string keys")
-    return n, actions
+    return Sizes(n, size, scan, actions)
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist.spec import OBSERVATION_SIZE, SCAN
-from appl_dist.wire.codec import shape_in
-
-_REST_SIZE = OBSERVATION_SIZE - (SCAN.stop - SCAN.start)
+from appl_dist.wire.codec import sizes_in
 
 
 @dataclass(frozen=True)
@@ -28,13 +25,13 @@ class Receipt:
 
 def of_blob(blob: bytes) -> Receipt:
     """The receipt of an encoded rollout; ValueError if it is not one."""
-    n, action_size = shape_in(blob)
-    tail = 4 * ((n + 1) * _REST_SIZE + n * action_size + n)
-    return Receipt(n, _digest(memoryview(blob)[-tail:]))
+    sizes = sizes_in(blob)
+    tail = sum(sizes.array_bytes()[1:])
+    return Receipt(sizes.transitions, _digest(memoryview(blob)[-tail:]))
 
 
 def of_arrays(rest: NDArray[np.float32], actions: NDArray[np.float32], rewards: NDArray[np.float32]) -> Receipt:
-    """The same from rest (n + 1, 9), the observations beside the scan, actions (n, a) and rewards (n,)."""
+    """The same from rest (n + 1, r), the observations beside the scan, actions (n, a) and rewards (n,)."""
     parts = (np.ascontiguousarray(array, "<f4").tobytes() for array in (rest, actions, rewards))
     return Receipt(len(actions), _digest(b"".join(parts)))
 

@@ -22,7 +22,7 @@ from appl_dist.wire.codec import (
     UploadHeader,
     decode_header,
     encode_header,
-    shape_in,
+    sizes_in,
 )
 
 log = logging.getLogger(__name__)
@@ -144,7 +144,9 @@ class Uploader:
 
     def _send(self, seq: int, blob: bytes) -> Ack | None:
         self.counts["sent"] += 1
-        header = UploadHeader(self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, shape_in(blob)[0])
+        header = UploadHeader(
+            self.run_id, self.actor_id, self._bus.identity, self._epoch, seq, sizes_in(blob).transitions
+        )
         ack = self._ask(header, blob)
         self.counts["unanswered" if ack is None else "acked" if ack.status == "stored" else ack.status] += 1
         return ack

@@ -25,7 +25,9 @@ def refused_or_acts(blob: bytes) -> None:
     except UserError:
         return
     assert found.to_bytes()
-    action = policy_from_file(found, found.space, "x").act(np.zeros(OBSERVATION_SIZE, np.float32))
+    action = policy_from_file(found, found.space, "x", found.observation).act(
+        np.zeros(found.observation.size, np.float32)
+    )
     assert action.shape == (len(found.space),)
     assert (np.abs(action) <= 1).all()
 

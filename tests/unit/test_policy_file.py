@@ -100,14 +100,15 @@ def test_a_policy_that_cannot_be_names_the_field(change: dict[str, Any], message
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda h: h.update(format=9), "format: got 9; this version reads 1"),
+        (lambda h: h.update(format=9), "format: got 9; this version reads 2"),
         (lambda h: h.update(version="7"), "version: got '7'; expected int"),
         (lambda h: h.update(version=True), "version: got True; expected int"),
         (lambda h: h.pop("space"), "space: missing from the header"),
         (lambda h: h.update(layers=3), "tensors: got"),
         (lambda h: h.update(layers=10**9), "layers: got 1000000000; allowed"),
         (lambda h: h.update(activation="tanh"), "activation: got 'tanh'; allowed 'relu'"),
-        (lambda h: h["observation"].update(lidar_clip_m=3.0), "observation: trained on .*3.0"),
+        (lambda h: h["observation"].update(clip_m=-1.0), "observation.clip_m: got -1.0"),
+        (lambda h: h["observation"].update(size=700), "scan of 720 entries in 700"),
         (lambda h: h["space"]["parameters"][0].update(high=3.0), "space 'dwa': its bounds or names differ"),
         (lambda h: h["space"]["parameters"][1].update(low="a"), r"space\.parameters\[1\]\.low: got 'a'"),
     ],

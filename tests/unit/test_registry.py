@@ -45,6 +45,20 @@ except UserError as error:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
+def test_the_snippets_of_the_documentation_run() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text()
+    check = """
+import numpy as np
+from appl_dist.policy.load import load_policy
+from appl_dist.spec import DWA
+built = OBSERVATIONS.get("short")(4, DWA).build(np.full(4, 0.5, np.float32), 0.0, DWA.defaults)
+print(load_policy("fast:1.5", DWA).values[0], built[:4].tolist())
+"""
+    code = "".join(block.split("```")[0] for block in page.split("```python")[1:]) + check
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "1.5 [0.0, 0.0, 0.0, 0.0]"
+
+
 def test_an_installed_package_adds_a_policy(tmp_path: Path) -> None:
     source = """from appl_dist.policy.fixed import given_set
 from appl_dist.policy.load import POLICIES

@@ -17,7 +17,7 @@ from appl_dist.policy.fixed import default_policy
 from appl_dist.policy.load import load_policy
 from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.worlds import World
-from appl_dist.spec import BEARING, DWA, PARAMETERS, SCAN
+from appl_dist.spec import DWA, LIDAR_BEAMS
 
 SHORT = replace(PROTOCOLS["appl"], limit_s=6.0)
 
@@ -57,15 +57,15 @@ def test_stable_baselines3_trains_in_it_unchanged(short: NavigationEnv) -> None:
 
 def test_observation_layout(env: NavigationEnv) -> None:
     first, _ = env.reset(seed=1, options={"world": 0})
-    assert first[PARAMETERS] == pytest.approx(DWA.to_action(DWA.defaults))
-    assert first[BEARING] == 0.0  # no plan yet
+    assert first[LIDAR_BEAMS + 1 :] == pytest.approx(DWA.to_action(DWA.defaults))
+    assert first[LIDAR_BEAMS] == 0.0  # no plan yet
     action = np.linspace(-0.9, 0.9, 8, dtype=np.float32)
     observation, _, _, _, info = env.step(action)
     scan = np.clip(env.loop.scan, 0.0, 2.0) - 1.0
-    assert observation[SCAN] == pytest.approx(scan, abs=1e-6)
+    assert observation[:LIDAR_BEAMS] == pytest.approx(scan, abs=1e-6)
     assert info["parameters"] == pytest.approx(DWA.to_values(action))
-    assert observation[PARAMETERS] == pytest.approx(DWA.to_action(info["parameters"]), abs=1e-6)
-    assert 0.0 < abs(observation[BEARING]) < 0.5  # a plan ahead of the robot, never exactly straight
+    assert observation[LIDAR_BEAMS + 1 :] == pytest.approx(DWA.to_action(info["parameters"]), abs=1e-6)
+    assert 0.0 < abs(observation[LIDAR_BEAMS]) < 0.5  # a plan ahead of the robot, never exactly straight
 
 
 def test_the_default_parameters_drive_to_the_goal(env: NavigationEnv) -> None:

@@ -9,7 +9,7 @@ import pytest
 from appl_dist.actor.produced_log import FILE, read_produced
 from appl_dist.actor.spool import Spool
 from appl_dist.errors import UserError
-from appl_dist.spec import SCAN
+from appl_dist.spec import LIDAR_BEAMS
 from appl_dist.wire import receipt
 from appl_dist.wire.codec import decode_rollout, encode_rollout
 from tests.unit.wire.support import make_rollout
@@ -33,7 +33,7 @@ def test_every_rollout_and_transition_is_numbered_once_across_restarts(tmp_path:
 def test_the_digest_is_the_same_from_the_bytes_and_from_what_replay_keeps() -> None:
     sent = blob(5, 7)
     rollout = decode_rollout(sent)
-    kept = receipt.of_arrays(rollout.observations[:, SCAN.stop :], rollout.actions, rollout.rewards)
+    kept = receipt.of_arrays(rollout.observations[:, LIDAR_BEAMS:], rollout.actions, rollout.rewards)
     assert receipt.of_blob(sent) == kept
     assert kept.transitions == 7
     assert receipt.of_blob(blob(6, 7)).digest != kept.digest

@@ -50,7 +50,8 @@ def sealed(body: bytes) -> bytes:
 
 def with_layout(**changes: Any) -> bytes:
     layout = {
-        "transitions": len(GOOD), "observation_size": 729, "action_size": 8, "terminal": False, "info": {}, **changes,
+        "transitions": len(GOOD), "observation_size": 729, "scan_size": 720, "action_size": 8,
+        "terminal": False, "info": {}, **changes,
     }  # fmt: skip
     packed = pack(layout)
     _, length = struct.unpack_from("<II", BLOB)

@@ -6,7 +6,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from appl_dist.spec import SCAN, WIRE_VERSION, Rollout
+from appl_dist.spec import LIDAR_BEAMS, WIRE_VERSION, Rollout
 from appl_dist.wire.codec import (
     MAX_LAYOUT_BYTES,
     Ack,
@@ -18,7 +18,7 @@ from appl_dist.wire.codec import (
     encode_header,
     encode_rollout,
     pack,
-    shape_in,
+    sizes_in,
 )
 from tests.unit.wire.support import make_rollout
 
@@ -31,7 +31,7 @@ def forge(layout: object, arrays: bytes) -> bytes:
 
 
 def layout_of(transitions: object = 1, **changes: object) -> dict[str, object]:
-    sizes = {"transitions": transitions, "observation_size": 729, "action_size": 8}
+    sizes = {"transitions": transitions, "observation_size": 729, "scan_size": 720, "action_size": 8}
     return {**sizes, "terminal": True, "info": {}, **changes}
 
 
@@ -50,7 +50,7 @@ def arrays_with(offset: int, value: float) -> bytes:
 def test_everything_but_the_scan_returns_bit_for_bit():
     rollout = make_rollout(5, transitions=7)
     got = decode_rollout(encode_rollout(rollout))
-    np.testing.assert_array_equal(got.observations[:, SCAN.stop :], rollout.observations[:, SCAN.stop :])
+    np.testing.assert_array_equal(got.observations[:, LIDAR_BEAMS:], rollout.observations[:, LIDAR_BEAMS:])
     np.testing.assert_array_equal(got.actions, rollout.actions)
     np.testing.assert_array_equal(got.rewards, rollout.rewards)
     assert (got.terminal, got.info) == (rollout.terminal, rollout.info)
@@ -66,13 +66,13 @@ def test_the_ends_of_the_scan_and_every_step_between_are_kept_exactly():
     levels = np.arange(65536, dtype=np.float64)
     scan = (levels / 32767.5 - 1.0).astype(np.float32)
     observations = np.zeros((92, 729), np.float32)
-    observations[:, SCAN].flat = np.resize(scan, 92 * 720)
+    observations[:, :LIDAR_BEAMS].flat = np.resize(scan, 92 * 720)
     observations[0, :3] = (-1.0, 1.0, 1.0 + 1e-6)
     actions, rewards = np.zeros((91, 8), np.float32), np.zeros(91, np.float32)
     got = decode_rollout(encode_rollout(Rollout(observations, actions, rewards, True, {}))).observations
     assert got[0, :3].tolist() == [-1.0, 1.0, 1.0]
     assert np.abs(got).max() <= 1.0
-    steps = np.rint((got[1:, SCAN].astype(np.float64) + 1.0) * 32767.5)
+    steps = np.rint((got[1:, :LIDAR_BEAMS].astype(np.float64) + 1.0) * 32767.5)
     np.testing.assert_array_equal(steps.ravel(), np.resize(levels, 92 * 720)[720:])
 
 
@@ -117,7 +117,11 @@ def test_a_rollout_that_could_not_be_read_back_is_not_written(change, message):
         (forge(layout_of(-1), arrays_of(1)), "transitions: got -1"),
         (forge(layout_of(True), arrays_of(1)), "transitions: got True"),
         (forge(layout_of(1.0), arrays_of(1)), "transitions: got 1.0"),
-        (forge(layout_of(observation_size=728), arrays_of(1)), "observation_size: got 728"),
+        (forge(layout_of(observation_size=728), arrays_of(1)), "arrays: got"),
+        (forge(layout_of(observation_size=0), arrays_of(1)), "observation_size: got 0"),
+        (forge(layout_of(observation_size=10**9), arrays_of(1)), "observation_size: got 1000000000"),
+        (forge(layout_of(scan_size=730), arrays_of(1)), r"scan_size: got 730; allowed 0\.\.729"),
+        (forge(layout_of(scan_size=True), arrays_of(1)), "scan_size: got True"),
         (forge(layout_of(action_size=2**31), arrays_of(1)), "action_size"),
         (forge(layout_of(terminal=1), arrays_of(1)), "terminal"),
         (forge(layout_of(info=[]), arrays_of(1)), "info"),
@@ -152,7 +156,7 @@ def test_the_length_of_the_layout_is_bounded_before_it_is_read():
 
 
 def test_transitions_are_known_without_decoding():
-    assert shape_in(encode_rollout(make_rollout(0, transitions=11))) == (11, 8)
+    assert sizes_in(encode_rollout(make_rollout(0, transitions=11))) == (11, 729, 720, 8)
 
 
 HEADERS = [
