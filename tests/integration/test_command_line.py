@@ -27,7 +27,7 @@ def appl_dist(*arguments: str, cwd: Path, timeout_s: float = 60.0) -> subprocess
         (["train", "learner.gamma=1.5"], "learner.gamma: got 1.5; allowed 0..1"),
         (["train", "learner.td3.polyak=0"], "polyak: got 0"),
         (["train", "timing=slow"], "timing"),
-        (["train", "world.train=0,1"], "world.train=0,1: a value with commas needs quotes"),
+        (["train", "run.seed=0,1"], "run.seed=0,1: a value with commas needs quotes"),
         (["train", "just words"], "'just words': expected key=value"),
         (["train", "world.path=/no/such/worlds"], "/no/such/worlds"),
         (["train", "world.train=0:5:-1"], "'0:5:-1'"),

@@ -324,10 +324,9 @@ def test_emulated_bfloat16_is_warned_about(monkeypatch: pytest.MonkeyPatch, capl
     assert "precision: bf16 is emulated" in caplog.text
 
 
-@pytest.mark.parametrize("device", ["gpu", "cuda:99"])
-def test_a_device_that_is_not_there_is_named(device: str) -> None:
-    with pytest.raises(UserError, match=f"device: '{device}' cannot be used: .*; allowed cpu, cuda"):
-        TD3(dataclasses.replace(SMALL, device=device), 4, 2)
+def test_a_device_that_is_not_there_is_named() -> None:
+    with pytest.raises(UserError, match=r"device: 'cuda:99' cannot be used: .*; allowed cpu, cuda"):
+        TD3(dataclasses.replace(SMALL, device="cuda:99"), 4, 2)
 
 
 @pytest.mark.parametrize(
