@@ -5,6 +5,8 @@
 #include <string.h>
 #include <time.h>
 
+#include "trig.h"
+
 #define NEVER (INT64_C(1) << 60)
 
 static double clock_s(void) {
@@ -90,7 +92,9 @@ static void give_scan(navigation_loop *l, int64_t now_ms) {
     const double start = clock_s();
     const robot *body = l->body;
     const double yaw = s.pose[2];
-    const double from[3] = {s.pose[0] + l->lidar_x * cos(yaw), s.pose[1] + l->lidar_x * sin(yaw), yaw};
+    double sine, cosine;
+    trig_sincos(yaw, &sine, &cosine);
+    const double from[3] = {s.pose[0] + l->lidar_x * cosine, s.pose[1] + l->lidar_x * sine, yaw};
     lidar_cast(l->sensor, from, body->cylinders, body->count, body->state.seed, (uint64_t)s.time_ms, l->ranges);
     spent(l, STAGE_LIDAR, start);
     navigator_add_scan(l->planner, l->ranges, s.pose_odom);

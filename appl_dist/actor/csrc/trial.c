@@ -47,16 +47,21 @@ int trial_timed_out(const trial *t, int64_t now_ms) {
     return trial_time_s(t, now_ms) >= t->rules.limit_s;
 }
 
+static double distance(const robot *r, double x, double y) {
+    const double dx = r->state.x - x, dy = r->state.y - y;
+    return sqrt(dx * dx + dy * dy);
+}
+
 static int at_goal(const trial *t, const robot *r) {
     const trial_rules *k = &t->rules;
     if (!isnan(k->success_y)) return r->state.y > k->success_y;
-    return hypot(r->state.x - k->goal_x, r->state.y - k->goal_y) < k->goal_radius;
+    return distance(r, k->goal_x, k->goal_y) < k->goal_radius;
 }
 
 void trial_look(trial *t, const robot *r, int64_t now_ms) {
     sample(t, r, now_ms);
     if (t->clock_start_ms < 0 &&
-        hypot(r->state.x - t->start_x, r->state.y - t->start_y) >= t->rules.clock_starts_after)
+        distance(r, t->start_x, t->start_y) >= t->rules.clock_starts_after)
         t->clock_start_ms = now_ms;
     const int failed = trial_failed(t, r);
     t->success = t->success || (!failed && at_goal(t, r));

@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+#include "trig.h"
+
 /* jackal.urdf.xacro: chassis box 0.42 x 0.31, wheels of radius .098 and width .04 at (+-.131, +-.187795). */
 static const double chassis_x = 0.210, chassis_y = 0.155;
 static const double wheel_x = 0.131, wheel_y = 0.187795, wheel_half_x = 0.098, wheel_half_y = 0.020;
@@ -12,7 +14,8 @@ static double rectangle_distance(double dx, double dy) {
 }
 
 double hull_clearance(const double pose[3], const double *cylinders, size_t n, double limit) {
-    const double c = cos(pose[2]), s = sin(pose[2]);
+    double c, s;
+    trig_sincos(pose[2], &s, &c);
     double best = limit;
     for (size_t i = 0; i < n; ++i) {
         const double dx = cylinders[3 * i] - pose[0], dy = cylinders[3 * i + 1] - pose[1];

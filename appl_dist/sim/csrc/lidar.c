@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "geometry.h"
+#include "trig.h"
 #include "wide.h"
 
 #define PI 3.14159265358979323846
@@ -10,8 +11,7 @@
 void lidar_directions(const lidar_spec *spec, double *cosines, double *sines) {
     for (size_t i = 0; i < spec->beams; ++i) {
         const double angle = spec->angle_min + (double)i * spec->increment;
-        cosines[i] = cos(angle);
-        sines[i] = sin(angle);
+        trig_sincos(angle, &sines[i], &cosines[i]);
     }
 }
 
@@ -69,7 +69,9 @@ WIDE void lidar_cast(const lidar *sensor, const double pose[3], const double *cy
                 uint64_t stamp, float *ranges) {
     const lidar_spec *spec = &sensor->spec;
     const double *cosines = sensor->cosines, *sines = sensor->sines;
-    const double c = cos(pose[2]), s = sin(pose[2]), turn = 2.0 * PI / spec->increment;
+    const double turn = 2.0 * PI / spec->increment;
+    double c, s;
+    trig_sincos(pose[2], &s, &c);
     const long beams = (long)spec->beams, end = beams - LANES;
     for (long i = 0; i < beams; ++i) ranges[i] = INFINITY;
 

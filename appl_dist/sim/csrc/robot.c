@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "geometry.h"
+#include "trig.h"
 
 #define NEAR_M 0.02     /* bullet's contacts begin to act at this distance */
 #define HARDEST_N 400.0 /* twice the weight: more is a jolt of one step */
@@ -21,7 +22,7 @@ double robot_clearance(const robot *r, double limit) {
 }
 
 static int is_free(const robot *r, int ms) {
-    const double speed = hypot(r->state.vx, r->state.vy) + fabs(r->state.w) * HULL_RADIUS_M;
+    const double speed = sqrt(r->state.vx * r->state.vx + r->state.vy * r->state.vy) + fabs(r->state.w) * HULL_RADIUS_M;
     /* Tyres give at most sqrt(2) mu g of acceleration; 15 m/s^2 bounds that with the hull's swing. */
     const double time = 1e-3 * ms, reach = (speed + 0.5 * 15.0 * time) * time + NEAR_M;
     return robot_clearance(r, reach) >= reach;
@@ -73,9 +74,11 @@ void robot_resolve(robot *r, const robot_contact *k) {
     r->rolled_over |= k->rolled_over;
     if (!k->held) return;
     vehicle_state *state = &r->state;
-    state->distance = r->before.distance + hypot(k->x - r->before.x, k->y - r->before.y);
+    const double dx = k->x - r->before.x, dy = k->y - r->before.y;
+    state->distance = r->before.distance + sqrt(dx * dx + dy * dy);
     state->x = k->x, state->y = k->y, state->yaw = k->yaw;
-    const double c = cos(k->yaw), s = sin(k->yaw);
+    double c, s;
+    trig_sincos(k->yaw, &s, &c);
     state->vx += k->dvx - k->dw * (s * r->spec.com_x + c * r->spec.com_y);
     state->vy += k->dvy + k->dw * (c * r->spec.com_x - s * r->spec.com_y);
     state->w += k->dw;

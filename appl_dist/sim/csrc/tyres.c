@@ -13,6 +13,7 @@
 #include <string.h>
 
 #include "geometry.h"
+#include "trig.h"
 
 #define STEP_S 0.001
 #define MAX_SWEEPS 50
@@ -143,7 +144,8 @@ static void move(const vehicle_spec *spec, vehicle_state *state, double *c, doub
     /* Semi-implicit: the centre of mass moves along the new velocity, base_link follows rigidly. */
     const double c0 = *c, s0 = *s;
     state->yaw += state->w * STEP_S;
-    const double c1 = *c = cos(state->yaw), s1 = *s = sin(state->yaw);
+    trig_sincos(state->yaw, s, c);
+    const double c1 = *c, s1 = *s;
     const double dx = state->vx * STEP_S + (c0 - c1) * spec->com_x - (s0 - s1) * spec->com_y;
     const double dy = state->vy * STEP_S + (s0 - s1) * spec->com_x + (c0 - c1) * spec->com_y;
     state->x += dx;
@@ -163,7 +165,8 @@ static void filter_odometry(const vehicle_spec *spec, vehicle_state *state) {
     state->odom_w += spec->odom_gain_w * (state->w + noise - state->odom_w);
 }
 
-/* The drive of the recorded closed-loop vectors: acceleration limits, then up to 10 ms along the midpoint heading. */
+/* The drive of the recorded closed-loop vectors: acceleration limits, then up to 10 ms along the midpoint heading.
+ * Its sine and cosine are libm's, as when they were recorded. */
 static void ideal_step(const vehicle_spec *spec, vehicle_state *state, int ms) {
     const double dt = STEP_S * ms;
     turn_wheels(spec, state, dt);
@@ -182,7 +185,8 @@ static void ideal_step(const vehicle_spec *spec, vehicle_state *state, int ms) {
 
 void vehicle_advance(const vehicle_spec *spec, vehicle_state *state, int ms) {
     const stance k = stand(spec);
-    double c = cos(state->yaw), s = sin(state->yaw);
+    double c, s;
+    trig_sincos(state->yaw, &s, &c);
     while (ms > 0) {
         const int step = spec->ideal ? (ms < IDEAL_MS ? ms : IDEAL_MS) : 1;
         if (spec->ideal) {
@@ -200,7 +204,8 @@ void vehicle_advance(const vehicle_spec *spec, vehicle_state *state, int ms) {
 }
 
 void vehicle_body_velocity(const vehicle_spec *spec, const vehicle_state *state, double *forward, double *left) {
-    const double c = cos(state->yaw), s = sin(state->yaw);
+    double c, s;
+    trig_sincos(state->yaw, &s, &c);
     *forward = c * state->vx + s * state->vy + state->w * spec->com_y;
     *left = c * state->vy - s * state->vx - state->w * spec->com_x;
 }
