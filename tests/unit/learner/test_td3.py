@@ -337,6 +337,7 @@ def test_a_device_that_is_not_there_is_named() -> None:
         ({"actor_lr": 0.0}, "actor_lr: got 0"),
         ({"polyak": 1.5}, "polyak: got 1.5"),
         ({"target_noise": -0.1}, "target_noise: got -0.1"),
+        ({"device": "gpu"}, "device: got 'gpu'; allowed cpu, cuda, cuda:N"),
         ({"precision": "fp16"}, "precision: got 'fp16'; allowed auto, bf16, fp32"),
     ],
 )
