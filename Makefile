@@ -6,7 +6,7 @@ BARN ?= $(wildcard ../shared/barn)
 NATIVE := $(shell find appl_dist -name '*.c' -o -name '*.cpp' -o -name '*.h') appl_dist/native/CMakeLists.txt
 ARGS ?=
 
-.PHONY: train test lint bench asan-tree asan fuzz clean venv
+.PHONY: train test lint bench compilers asan-tree asan fuzz clean venv
 
 venv: $(VENV)/.installed
 
@@ -38,6 +38,10 @@ bench: venv
 	$(BIN)/python benchmarks/td3_update.py
 	$(BIN)/python benchmarks/replay_sampling.py
 	$(BIN)/python benchmarks/wire_throughput.py
+
+# The C core with every compiler that is installed (GCC 9 to 14, clang 14 on, aarch64 cross), warnings as errors.
+compilers: venv
+	$(BIN)/python tools/compilers.py
 
 # The C core under AddressSanitizer and UndefinedBehaviorSanitizer, in a build folder and an import path of its own.
 ASAN_TESTS ?= tests/unit/planner tests/unit/sim tests/property tests/conformance

@@ -60,7 +60,7 @@ static inline void hit_lanes(const double *restrict c, const double *restrict s,
         const double inside = along * along - offset; /* r^2 - (distance of the centre from the beam)^2 */
         const double exact = along - sqrt(inside < 0.0 ? 0.0 : inside);
         const double range = exact < range_min ? range_min : exact;
-        found[i] = (inside >= 0.0) & (along > 0.0) & (range <= range_max) ? range : INFINITY;
+        found[i] = ((inside >= 0.0) & (along > 0.0) & (range <= range_max)) ? range : INFINITY;
     }
     for (int i = 0; i < LANES; ++i) ranges[i] = (float)found[i] < ranges[i] ? (float)found[i] : ranges[i];
 }

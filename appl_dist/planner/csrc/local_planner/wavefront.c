@@ -109,8 +109,8 @@ WIDE static bool step(const uint64_t *restrict open, uint64_t *restrict reached,
         memcpy(&above, reached + k + WAVE_WORDS, sizeof above);
         memcpy(&free, open + k, sizeof free);
         const row_bits high = row >> 63, low = row << 63;
-        const row_bits beside = row << 1 | __builtin_shufflevector(high, none, 4, 0, 1, 2) | row >> 1 |
-                                __builtin_shufflevector(low, none, 1, 2, 3, 4);
+        const row_bits beside = row << 1 | SHUFFLE4(high, none, 4, 0, 1, 2) | row >> 1 |
+                                SHUFFLE4(low, none, 1, 2, 3, 4);
         const row_bits found = (below | above | beside) & free & ~row, all = row | found;
         memcpy(front + k, &found, sizeof found);
         memcpy(reached + k, &all, sizeof all);
