@@ -16,6 +16,8 @@ from rich.live import Live
 
 from appl_dist.config import CONFIG_FILE, Settings, cores
 from appl_dist.errors import USER_ERROR, UserError
+from appl_dist.evaluate.runner import make_methods
+from appl_dist.evaluate.trials import TRIALS_FILE, Trial
 from appl_dist.launch import view
 from appl_dist.launch.evaluation import evaluate_methods, require_statistics
 from appl_dist.launch.ledger import run_ledger
@@ -23,6 +25,7 @@ from appl_dist.launch.processes import Child, stop_all
 from appl_dist.launch.roles import act_in_run, build_learner, open_spool, stop_event
 from appl_dist.launch.runs import prepare, require_run
 from appl_dist.overrides import quoted
+from appl_dist.policy_file import PolicyFile
 from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
 from appl_dist.wire.status import RunStatus
@@ -161,6 +164,21 @@ def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
     """The final policy against the configured methods on worlds that training did not see."""
     from appl_dist.learner.learner import POLICY_FILE
 
-    methods = [*settings.evaluation.methods.items(), ("learned", str(folder / POLICY_FILE))]
+    policy = folder / POLICY_FILE
+    methods = [*settings.evaluation.methods.items(), (_label(folder / "evaluation", policy), str(policy))]
     evaluate_methods(settings, methods, folder / "evaluation", console, run=folder)
     sys.stdout.flush()
+
+
+def _label(evaluation: Path, policy: Path) -> str:
+    """What the run's policy is called in its tables: "learned", or after a longer training "learned@TRANSITIONS".
+
+    A run that was made longer has a new policy; the trials of the one before stay, under the name they have.
+    """
+    from appl_dist.evaluate.trial_log import read_rows
+
+    log_file = evaluation / TRIALS_FILE
+    rows = read_rows(log_file, Trial)[0] if log_file.exists() else []
+    known = {row.policy for row in rows if row.method == "learned"}
+    (method,) = make_methods([("learned", str(policy))])
+    return "learned" if known <= {method.fingerprint} else f"learned@{PolicyFile.load(policy).transitions}"

@@ -114,7 +114,12 @@ class Checkpoints:
 
     def newest(self) -> Path | None:
         """The last good checkpoint, None before the first."""
-        return max(self.folder.glob(_PATTERN), default=None)
+        return self.newest_in(self.folder)
+
+    @staticmethod
+    def newest_in(folder: Path) -> Path | None:
+        """The last good checkpoint in a run's folder of them."""
+        return max(folder.glob(_PATTERN), default=None)
 
     def load(self, learner: TD3, rng: np.random.Generator) -> dict[str, Any] | None:
         """Put the newest checkpoint back into `learner` and `rng`; its `extra`, None before the first.

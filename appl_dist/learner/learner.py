@@ -24,6 +24,7 @@ from appl_dist.files import write_atomic
 from appl_dist.learner.checkpoint import Checkpoints
 from appl_dist.learner.episodes import EpisodeStatistics
 from appl_dist.learner.ingest import Ingest
+from appl_dist.learner.initial import initialise
 from appl_dist.learner.limiter import RateLimiter
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.run_info import Run
@@ -77,7 +78,7 @@ class Learner:
         self.roster = Roster(bus, run.run_id)
         self.server = UploadServer(bus, run.run_id, _Sink(self.ingest, self), epoch=self.epoch)
         self.telemetry = Telemetry(
-            run, self.td3, self.replay, self.statistics, self.roster, self.server, self._elapsed_s
+            run, self.td3, self.replay, self.statistics, self.roster, self.server, self._elapsed_s, self.limiter
         )
         self.telemetry.renew(self.version)
         self.control = ControlServer(
@@ -188,6 +189,8 @@ class Learner:
             self.version = int(_number(path, found, "version"))
             self._started -= _number(path, found, "elapsed_s")
             log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+        elif self.settings.init:
+            log.info("learning starts from %s", initialise(self.td3, self.settings.init, self.run_info.space))
         write_atomic(file, json.dumps({"epoch": epoch}), sync=True)
         return epoch
 

@@ -94,6 +94,14 @@ class RateLimiter:
         with self._lock:
             self._open = True
 
+    @property
+    def actors_wait(self) -> bool:
+        """Whether the actors' next episode has to wait for learning."""
+        s = self.settings
+        with self._lock:
+            started = not self._open and self._inserted >= s.min_transitions
+            return started and self._ahead(s.largest_insert, 0) > s.tolerance
+
     def describe(self) -> str:
         """One line: what was counted, and which side waits for what."""
         s = self.settings

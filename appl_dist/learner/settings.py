@@ -58,7 +58,9 @@ class LearnerSettings:
     gamma, n_step: of the n-step returns that replay computes. priority_exponent: how strongly TD errors decide what
     is sampled, 0 for uniformly. replay_capacity: transitions. samples_per_insert: how often each transition is
     sampled on average; samples_tolerance: by how many transitions either side may run ahead. min_transitions:
-    collected before learning starts. Periods in seconds; detail_every in updates.
+    collected before learning starts.
+    init: a run's folder or a policy file whose networks learning starts from.
+    Periods in seconds; detail_every in updates.
     """
 
     td3: TD3Settings = field(default_factory=TD3Settings)
@@ -69,6 +71,7 @@ class LearnerSettings:
     samples_per_insert: float = 256.0
     samples_tolerance: int = 1000
     min_transitions: int = 1000
+    init: str = ""
     publish_every_s: float = 1.0
     report_every_s: float = 1.0
     checkpoint_every_s: float = 20.0

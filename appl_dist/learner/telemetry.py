@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from appl_dist.learner.episodes import EpisodeStatistics
+from appl_dist.learner.limiter import RateLimiter
 from appl_dist.learner.metrics_writer import MetricsWriter
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.run_info import Run
@@ -14,6 +16,8 @@ from appl_dist.learner.td3 import TD3
 from appl_dist.wire.liveness import Member, Roster
 from appl_dist.wire.status import ActorStatus, Progress, RunStatus
 from appl_dist.wire.upload import UploadServer
+
+log = logging.getLogger(__name__)
 
 # What of the status goes to TensorBoard and metrics.jsonl, and its name there.
 SCALARS = {
@@ -47,11 +51,13 @@ class Telemetry:
         roster: Roster,
         server: UploadServer,
         elapsed_s: Callable[[], float],
+        limiter: RateLimiter,
     ) -> None:
         self._run, self._td3, self._replay = run, td3, replay
         self._statistics, self._roster, self._server, self._elapsed_s = statistics, roster, server, elapsed_s
         self._metrics = MetricsWriter(run.folder)
         self._rates = _Rates()
+        self._limiter, self._warned = limiter, False
         self._learned: dict[str, float] = {}
         self._status: RunStatus | None = None
 
@@ -100,10 +106,26 @@ class Telemetry:
             sigma=self._run.sigma(transitions),
             **self._statistics.figures(),
             refused=self._server.refused(),
-            held_back="",
+            held_back=self._held_back(len(actors)),
             actors=actors,
         )
         return self._status
+
+    def _held_back(self, actors: int) -> str:
+        """A sentence while learning holds the actors back, "" otherwise; the log has it once."""
+        if not self._limiter.actors_wait or self._rates.updates_per_s <= 0.0:
+            return ""
+        settings = self._limiter.settings
+        takes = self._rates.updates_per_s * settings.batch_size / settings.samples_per_insert
+        sentence = (
+            f"learning holds {actors} actors back: {self._rates.updates_per_s:.1f} updates/s take {takes:.0f} "
+            f"transitions/s at learner.samples_per_insert={settings.samples_per_insert:g}; lower that, or choose "
+            "smaller networks or more learner.td3.threads"
+        )
+        if not self._warned:
+            self._warned = True
+            log.warning("%s", sentence)
+        return sentence
 
     def close(self) -> None:
         """Flush the metrics."""
