@@ -37,8 +37,8 @@ from appl_dist.spec import DWA, LIDAR_BEAMS, OBSERVATION_SIZE, Rollout
 from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, fetch_run
 from appl_dist.wire.liveness import Presence
+from appl_dist.wire.run_status import Progress
 from appl_dist.wire.session import open_session
-from appl_dist.wire.status import Progress
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsSubscriber
 from appl_dist.wire.wire_settings import WireSettings

@@ -31,8 +31,8 @@ from appl_dist.wire.codec import (
     encode_rollout,
 )
 from appl_dist.wire.liveness import Presence, Roster
+from appl_dist.wire.run_status import Progress
 from appl_dist.wire.session import Session, open_session
-from appl_dist.wire.status import Progress
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber
 from appl_dist.wire.wire_settings import WireSettings

@@ -22,7 +22,7 @@ from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import FloatArray
 from appl_dist.wire.codec import encode_rollout
-from appl_dist.wire.status import Progress
+from appl_dist.wire.run_status import Progress
 
 log = logging.getLogger(__name__)
 

@@ -25,7 +25,7 @@ from appl_dist.launch.environment import EVALUATION, environment_arguments, worl
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, ControlServer
 from appl_dist.wire.liveness import Presence, Roster
-from appl_dist.wire.status import Progress
+from appl_dist.wire.run_status import Progress
 from appl_dist.wire.typed import MAX_TEXT
 from appl_dist.wire.work import WorkClient, WorkServer
 

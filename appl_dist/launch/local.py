@@ -28,7 +28,7 @@ from appl_dist.overrides import quoted
 from appl_dist.policy_file import PolicyFile
 from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
-from appl_dist.wire.status import RunStatus
+from appl_dist.wire.run_status import RunStatus
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from appl_dist.launch import view
 from appl_dist.launch.runs import require_run, run_id_of, whereabouts
 from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
-from appl_dist.wire.status import RunStatus
+from appl_dist.wire.run_status import RunStatus
 
 ANSWER_S = 5.0
 SILENT_S = 60.0  # a learner or an actor that has not moved for so long is not well

@@ -10,7 +10,7 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from appl_dist.wire.status import RunStatus
+from appl_dist.wire.run_status import RunStatus
 
 PRINTED_WIDTH = 120  # of tables where there is no terminal to ask
 

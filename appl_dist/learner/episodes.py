@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from appl_dist.spec import Rollout
-from appl_dist.wire.status import EpisodeInfo
+from appl_dist.wire.run_status import EpisodeInfo
 from appl_dist.wire.typed import decode
 
 WINDOW = 200  # episodes

@@ -14,7 +14,7 @@ from appl_dist.learner.replay import Replay
 from appl_dist.learner.run_info import Run
 from appl_dist.learner.td3 import TD3
 from appl_dist.wire.liveness import Member, Roster
-from appl_dist.wire.status import ActorStatus, Progress, RunStatus
+from appl_dist.wire.run_status import ActorStatus, Progress, RunStatus
 from appl_dist.wire.upload import UploadServer
 
 log = logging.getLogger(__name__)

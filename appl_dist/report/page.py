@@ -204,7 +204,7 @@ def _replayed(replays: Replays) -> str:
     if replays.differences:
         return (
             f"{replays.count} trials were driven again for this page; {len(replays.differences)} of them differ from "
-            f"their rows, so the code is not that of then: {'; '.join(replays.differences[:3])}."
+            f"their rows, so code or machine are not those of then: {'; '.join(replays.differences[:3])}."
         )
     return f"{replays.count} trials were driven again for this page, each bit-equal to its row."
 

@@ -21,7 +21,7 @@ from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message, Query
 from appl_dist.wire.codec import MAX_HEADER_BYTES, StateHeader, decode_header, encode_header, pack, unpack_map
 from appl_dist.wire.polling import LearnerPoll
-from appl_dist.wire.status import RunStatus
+from appl_dist.wire.run_status import RunStatus
 from appl_dist.wire.typed import decode
 
 log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus, Message
 from appl_dist.wire.codec import pack, unpack_map
-from appl_dist.wire.status import Progress
+from appl_dist.wire.run_status import Progress
 from appl_dist.wire.typed import decode
 
 log = logging.getLogger(__name__)

@@ -30,8 +30,8 @@ from appl_dist.wire.codec import (
 )
 from appl_dist.wire.control import ControlClient, ControlServer, fetch_run, fetch_status
 from appl_dist.wire.liveness import Presence, Roster
+from appl_dist.wire.run_status import Progress
 from appl_dist.wire.session import Session, open_session
-from appl_dist.wire.status import Progress
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.uploader import Uploader
 from appl_dist.wire.weights import WeightsPublisher, WeightsSubscriber

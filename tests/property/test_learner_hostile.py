@@ -21,7 +21,7 @@ from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import Ack, UploadHeader, decode_header, encode_header, encode_rollout, pack
 from appl_dist.wire.control import fetch_run_status
 from appl_dist.wire.memory import MemoryHub, MemorySession
-from appl_dist.wire.status import EpisodeInfo, Progress
+from appl_dist.wire.run_status import EpisodeInfo, Progress
 from tests.unit.learner.test_learner import SETTINGS, run_info
 from tests.unit.learner.test_learner import rollout as good_rollout
 

@@ -19,7 +19,7 @@ from appl_dist.policy_file import PolicyFile
 from appl_dist.sim.generate import generate_worlds
 from appl_dist.spec import OBSERVATION_SIZE
 from appl_dist.wire.codec import decode_rollout
-from appl_dist.wire.status import Progress
+from appl_dist.wire.run_status import Progress
 
 SILENT = ExplorationSettings(sigma_start=0.0, sigma_floor=0.0, uniform_fraction=0.0)
 

@@ -20,7 +20,7 @@ from appl_dist.overrides import quoted
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import DWA
 from appl_dist.wire.key_expressions import is_name
-from appl_dist.wire.status import ActorStatus, RunStatus
+from appl_dist.wire.run_status import ActorStatus, RunStatus
 
 SMALL = ["world.count=6", "evaluation.worlds=0:1"]
 

@@ -8,7 +8,7 @@ from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import pack
 from appl_dist.wire.liveness import MAX_PROGRESS_BYTES, Presence, Roster
 from appl_dist.wire.memory import MemoryHub
-from appl_dist.wire.status import Progress
+from appl_dist.wire.run_status import Progress
 
 
 def progress(**changes):
