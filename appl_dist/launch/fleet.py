@@ -12,7 +12,7 @@ from appl_dist.config import Settings, cores
 from appl_dist.errors import UserError
 from appl_dist.launch.processes import Child, die_with_parent, stop_all
 from appl_dist.launch.roles import stop_event
-from appl_dist.launch.runs import Whereabouts, whereabouts
+from appl_dist.launch.runs import Whereabouts, whereabouts, with_keys_of
 from appl_dist.overrides import quoted
 from appl_dist.wire.credentials import ACTOR
 
@@ -69,7 +69,7 @@ def actors(settings: Settings) -> int:
 
 def _arguments(settings: Settings, endpoint: str, name: str) -> list[str]:
     """What tells an actor who it is and where its learner is; all else it gets from there."""
-    wire = asdict(replace(settings.wire, endpoint=endpoint))
+    wire = asdict(replace(with_keys_of(settings.actor.run, settings.wire), endpoint=endpoint))
     actor = {
         "id": name,
         "run": settings.actor.run,

@@ -24,7 +24,16 @@ from appl_dist.errors import PassingFault, UserError
 from appl_dist.files import explain
 from appl_dist.launch.environment import EVALUATION, environment_arguments, training_of, worlds_of
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.launch.runs import announce, announce_gone, listen, prepare, require_run, run_id_of, whereabouts
+from appl_dist.launch.runs import (
+    announce,
+    announce_gone,
+    listen,
+    prepare,
+    require_run,
+    run_id_of,
+    whereabouts,
+    with_keys_of,
+)
 from appl_dist.policy.observation import OBSERVATIONS
 from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
@@ -76,7 +85,10 @@ def learner(settings: Settings) -> int:
     stop, leave = stop_event(), leave_event()
     settings, folder = prepare(settings, or_continue=True)
     if not settings.wire.is_loopback and settings.wire.security == "none":
-        log.warning("%s: anyone who reaches this port can take part; wire=tls restricts it", settings.wire.endpoint)
+        log.warning(
+            "wire.security=none: anyone who reaches %s can take part; without that setting the run makes and uses keys",
+            settings.wire.endpoint,
+        )
     with listen(settings.wire) as session:
         try:
             part = build_learner(settings, session)
@@ -125,6 +137,7 @@ def actor(settings: Settings) -> int:
     from appl_dist.wire.session import open_session
 
     die_with_parent()
+    settings = replace(settings, wire=with_keys_of(settings.actor.run, settings.wire))
     own, identity = _who(settings)
     wire = settings.wire
     if own.run:
@@ -159,7 +172,7 @@ def _who(settings: Settings) -> tuple[ActorSettings, str]:
     """
     wire, own = settings.wire, settings.actor
     name = ACTOR
-    if wire.security != "none":
+    if not wire.is_open:
         identity = find(wire.keys, wire.identity or own.id)
         name = identity.name
         if own.id and not identity.covers(own.id):

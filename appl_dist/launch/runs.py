@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import logging
 import re
 import secrets
 import socket
@@ -16,15 +17,19 @@ from appl_dist.config import CONFIG_FILE, Settings, as_dict, load_continued, rea
 from appl_dist.errors import UserError
 from appl_dist.files import explain, write_atomic, write_new
 from appl_dist.launch.environment import check_environment, check_split
+from appl_dist.launch.make_keys import make_keys
 from appl_dist.wire.control import fetch_run
-from appl_dist.wire.credentials import VIEWER
+from appl_dist.wire.credentials import ACTOR, VIEWER
 from appl_dist.wire.key_expressions import is_name
 from appl_dist.wire.wire_settings import WireSettings
 
 if TYPE_CHECKING:
     from appl_dist.wire.session import Session
 
+log = logging.getLogger(__name__)
+
 LEARNER_FILE = "learner.json"
+KEYS_FOLDER = "keys"  # in a run's folder
 DEFAULT_FOLDER = "runs/%Y%m%d-%H%M%S"
 ASK_S = 2.0
 _OUTPUTS = ("checkpoints", "replay", "spool", "evaluation", "policy.safetensors", "metrics.jsonl", "epoch.json")
@@ -44,11 +49,12 @@ def prepare(settings: Settings, or_continue: bool = False) -> tuple[Settings, Pa
     """
     folder = run_folder(settings)
     if settings.run.resume:
-        return _freeze(settings, folder), folder
+        return _freeze(replace(settings, wire=_with_own_keys(settings.wire, folder)), folder), folder
     if or_continue and (folder / CONFIG_FILE).exists():
         frozen = load_continued(folder)
         run = replace(frozen.run, transitions=settings.run.transitions, minutes=settings.run.minutes)
-        return _freeze(replace(frozen, run=run, wire=settings.wire, launch=settings.launch), folder), folder
+        wire = _with_own_keys(settings.wire, folder)
+        return _freeze(replace(frozen, run=run, wire=wire, launch=settings.launch), folder), folder
     check_environment(settings)  # before there is a folder: a mistake leaves nothing behind
     check_split(settings)
     return _create(settings, folder)
@@ -65,10 +71,30 @@ def _create(settings: Settings, folder: Path) -> tuple[Settings, Path]:
         folder = make_folder(folder, "run.folder")
     run = replace(settings.run, folder=str(folder), id=new_id(folder))
     horizon = settings.explore.horizon or run.transitions
-    fresh = replace(settings, run=run, explore=replace(settings.explore, horizon=horizon))
+    wire = _with_own_keys(settings.wire, folder)
+    fresh = replace(settings, run=run, wire=wire, explore=replace(settings.explore, horizon=horizon))
     if not write_new(folder / CONFIG_FILE, json.dumps(as_dict(fresh), indent=2)):
         raise UserError(f"run.folder: {folder} already holds a run; continue it with run.resume={folder}")
     return fresh, folder
+
+
+def _with_own_keys(wire: WireSettings, folder: Path) -> WireSettings:
+    """What a run uses: beyond loopback, and unless told otherwise, keys of its own, which are made here."""
+    if wire.security != "auto" or wire.is_loopback:
+        return wire
+    keys = folder / KEYS_FOLDER
+    if not keys.is_dir():
+        make_keys(keys, [], [])
+    log.info("keys of this run are in %s; an actor elsewhere needs %s/%s: wire.keys=FOLDER", keys, keys, ACTOR)
+    return replace(wire, security="password", keys=str(keys))
+
+
+def with_keys_of(run: str, wire: WireSettings) -> WireSettings:
+    """The wire of a process that sees the run's folder ("": none): with that run's own keys, if it made any."""
+    keys = Path(run) / KEYS_FOLDER
+    if not run or wire.security != "auto" or not keys.is_dir():
+        return wire
+    return replace(wire, security="password", keys=str(keys))
 
 
 def make_folder(folder: Path, key: str) -> Path:

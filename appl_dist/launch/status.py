@@ -9,7 +9,7 @@ from pathlib import Path
 from appl_dist.config import Settings
 from appl_dist.errors import UserError
 from appl_dist.launch import view
-from appl_dist.launch.runs import require_run, run_id_of, whereabouts
+from appl_dist.launch.runs import require_run, run_id_of, whereabouts, with_keys_of
 from appl_dist.wire.control import fetch_run, fetch_run_status
 from appl_dist.wire.credentials import VIEWER
 from appl_dist.wire.run_status import RunStatus
@@ -26,7 +26,8 @@ def status(settings: Settings, here: bool = False) -> int:
     """
     from appl_dist.wire.session import open_session
 
-    wire = replace(settings.wire, timeout_s=min(settings.wire.timeout_s, ANSWER_S))
+    wire = with_keys_of(settings.actor.run, settings.wire)
+    wire = replace(wire, timeout_s=min(settings.wire.timeout_s, ANSWER_S))
     if settings.actor.run:
         where = whereabouts(Path(settings.actor.run))
         if where.ended:

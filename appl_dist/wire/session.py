@@ -103,7 +103,7 @@ def _config(settings: WireSettings, listen: bool, identity: str) -> dict[str, An
         "transport": transport,
     }
     users = None
-    if settings.security != "none":
+    if not settings.is_open:
         who = find(settings.keys, LEARNER if listen else settings.identity or identity)
         if settings.security == "tls":
             transport["link"]["tls"] = _tls(who, listen)

@@ -10,7 +10,7 @@ from appl_dist.errors import UserError
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
 _LOOPBACK = ("127.", "localhost", "[::1]")
 MAX_ACTORS = 4000  # of one learner: as many connections as it takes, less some for views and checks
-SECURITY = ("none", "password", "tls")
+SECURITY = ("auto", "none", "password", "tls")
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class WireSettings:
     lease_s: a process silent for this long counts as gone, s.
     timeout_s: how long to wait for the learner, s.
     security: "none"; "password" (each identity proves a password, data is not encrypted); "tls" (encrypted, both
-        sides prove a certificate of the run's authority).
+        sides prove a certificate of the run's authority); "auto": none on loopback, else passwords in the run's own
+        folder, which its learner makes and whoever is given that folder uses. With `keys` it is what the endpoint asks.
     keys: folder made by `appl-dist keys`, see `credentials`. identity: which of its folders is this process's;
         "" takes the one of the process's role or actor id.
     """
@@ -30,7 +31,7 @@ class WireSettings:
     endpoint: str = "tcp/127.0.0.1:7447"
     lease_s: float = 3.0
     timeout_s: float = 10.0
-    security: str = "none"
+    security: str = "auto"
     keys: str = ""
     identity: str = ""
 
@@ -44,16 +45,23 @@ class WireSettings:
                 raise UserError(f"wire.{name}: got {value!r} s; allowed {low:g}..{high:g} s")
         if self.security not in SECURITY:
             raise UserError(f"wire.security: got {self.security!r}; allowed {', '.join(SECURITY)}")
+        if self.security == "auto" and self.keys:
+            object.__setattr__(self, "security", "tls" if match[1] == "tls" else "password")
         if (self.security == "tls") != (match[1] == "tls"):
             raise UserError(
                 f"wire.endpoint: got {self.endpoint} with wire.security={self.security}; "
                 "tls/HOST:PORT goes with security=tls, tcp/HOST:PORT with none and password"
             )
-        if (self.security == "none") == bool(self.keys):
+        if self.is_open == bool(self.keys):
             raise UserError(
                 f"wire.keys: got {self.keys!r} with wire.security={self.security}; give the folder that "
                 "`appl-dist keys` made with security=password or tls, and only then"
             )
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nobody proves who he is (yet: "auto" has found no keys)."""
+        return self.security in ("auto", "none")
 
     @property
     def is_loopback(self) -> bool:

@@ -100,7 +100,7 @@ class Cluster:
         if host:
             self._listen = self._connect = self._listen.replace("127.0.0.1", host)
         self._prefix = prefix
-        self._learner, self._actor = learner, actor
+        self._learner, self._actor = (*learner, *(("wire.security=none",) if host else ())), actor
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def start_learner(self, folder: str = "run") -> None:

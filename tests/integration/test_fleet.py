@@ -14,9 +14,11 @@ from pathlib import Path
 import psutil
 import pytest
 
+from appl_dist.errors import PassingFault
 from appl_dist.launch.ledger import run_ledger
-from appl_dist.launch.runs import whereabouts
+from appl_dist.launch.runs import whereabouts, with_keys_of
 from appl_dist.wire.control import fetch_run, fetch_run_status
+from appl_dist.wire.credentials import VIEWER
 from appl_dist.wire.session import open_session
 from appl_dist.wire.wire_settings import WireSettings
 from tests.integration.test_train import free_port
@@ -46,7 +48,8 @@ class Fleet:
         return process
 
     def learner(self) -> subprocess.Popen[bytes]:
-        return self.start("learner", *SMALL, f"run.folder={self.run}", f"wire.endpoint=tcp/127.0.0.1:{free_port()}")
+        """On every interface, so that the run makes and uses keys of its own."""
+        return self.start("learner", *SMALL, f"run.folder={self.run}", f"wire.endpoint=tcp/0.0.0.0:{free_port()}")
 
     def log(self, process: subprocess.Popen[bytes]) -> str:
         return (self._folder / f"{self._started.index(process)}.log").read_text()
@@ -59,7 +62,8 @@ class Fleet:
     def names(self) -> list[str]:
         """Actors that the learner lists as heard of."""
         endpoint = whereabouts(self.run).endpoint
-        with open_session(WireSettings(endpoint, timeout_s=30.0), listen=False) as session:
+        wire = with_keys_of(str(self.run), WireSettings(endpoint, timeout_s=30.0))
+        with open_session(wire, listen=False, identity=VIEWER) as session:
             run_id, _ = fetch_run(session, 30.0)
             return [a.id for a in fetch_run_status(session, run_id, 30.0).actors if a.silent_s < 60.0]
 
@@ -106,11 +110,15 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_actors_follow_a_learner_that_moves_join_leave_and_end_with_the_run(fleet: Fleet) -> None:
-    far = fleet.start("actors", "actors=2", f"actor.run={fleet.run}", "actor.id=far")  # before there is any learner
+    far = fleet.start(
+        "actors", "actors=2", f"actor.run={fleet.run}", "actor.id=actor-far"
+    )  # before there is any learner
     first = fleet.learner()
     fleet.grow(80)
-    fleet.wait(lambda: fleet.names() == ["far-0", "far-1"], "both to be listed")
+    fleet.wait(lambda: fleet.names() == ["actor-far-0", "actor-far-1"], "both to be listed")
     assert fleet.status("--here")[0] == 0
+    with pytest.raises(PassingFault, match="refused the credentials"):
+        open_session(WireSettings(whereabouts(fleet.run).endpoint, timeout_s=2.0), listen=False)
 
     first.send_signal(signal.SIGUSR1)
     assert first.wait(180) == 0, fleet.log(first)
@@ -133,7 +141,7 @@ def test_actors_follow_a_learner_that_moves_join_leave_and_end_with_the_run(flee
     victim.kill()
     joined = fleet.start("actor", f"actor.run={fleet.run}")
     other = fleet.start("actor", f"actor.run={fleet.run}")
-    everyone = ["actor-0", "actor-1", "far-0", "far-1"]
+    everyone = ["actor-0", "actor-1", "actor-far-0", "actor-far-1"]
     fleet.wait(lambda: fleet.names() == everyone, "two to join, one to return")
     assert "far-0 died with status -9" in fleet.log(far)
     joined.send_signal(signal.SIGTERM)
@@ -154,7 +162,7 @@ def test_actors_follow_a_learner_that_moves_join_leave_and_end_with_the_run(flee
 
 def test_killing_the_keeper_of_actors_leaves_none(fleet: Fleet) -> None:
     fleet.learner()
-    far = fleet.start("actors", "actors=2", f"actor.run={fleet.run}", "actor.id=far")
+    far = fleet.start("actors", "actors=2", f"actor.run={fleet.run}", "actor.id=actor-far")
     fleet.wait(lambda: fleet.transitions() > 0, "a first rollout")
     children = psutil.Process(far.pid).children(recursive=True)
     assert len(children) == 2
