@@ -55,7 +55,7 @@ def launch(settings: Settings) -> int:
     print(f"learner: job {learner}; actors: job {actors}, an array of {array}; logs in {folder}/logs")
     print(f"watch: appl-dist status {shlex.quote(f'actor.run={folder}')}")
     resume = shlex.quote(f"run.resume={folder}")
-    print(f"stop, actors included: scancel {learner}; continue: appl-dist launch launch=slurm … {resume}")
+    print(f"stop: scancel {learner} {actors}; continue: appl-dist launch launch=slurm … {resume}")
     return 0
 
 

@@ -64,7 +64,7 @@ def _processes(settings: Settings, folder: Path, console: Console) -> bool:
     logs = folder / "logs"
     logs.mkdir(exist_ok=True)
     config = f"--config={folder / CONFIG_FILE}"
-    learner = Child("learner", ["learner", config], logs / "learner.log")
+    learner = Child("learner", ["learner", config], logs / "learner.log", signal.SIGINT)
     actors = [
         Child(
             f"actor-{i}",

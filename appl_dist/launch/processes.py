@@ -40,6 +40,7 @@ class Child:
     name: str
     arguments: list[str]
     log_file: Path
+    stop_signal: int = signal.SIGTERM  # what asks it to end for good
     process: subprocess.Popen[bytes] | None = None
     restarts: int = 0
     started_at: float = 0.0
@@ -122,10 +123,10 @@ def _without_numbers(text: str) -> str:
 
 
 def stop_all(children: list[Child], timeout_s: float) -> None:
-    """SIGTERM to all, then SIGKILL to those that still live after `timeout_s`."""
+    """Ask all to end, then SIGKILL to those that still live after `timeout_s`."""
     for child in children:
         child.retry_at = 0.0
-        child.signal(signal.SIGTERM)
+        child.signal(child.stop_signal)
     deadline = time.monotonic() + timeout_s
     for child in children:
         if not child.wait(max(0.0, deadline - time.monotonic())):

@@ -55,8 +55,8 @@ LEARNER_AWAY_S = 60.0  # an actor waits this long for a learner that has not sta
 HELD_ROLLOUTS = 2  # an actor that the learner told to wait stops collecting at this many unsent rollouts
 
 
-def stop_event() -> threading.Event:
-    """An event that SIGINT and SIGTERM set; a second SIGINT interrupts as usual."""
+def stop_event(*signals: signal.Signals) -> threading.Event:
+    """An event that `signals` (SIGINT and SIGTERM) set; a second SIGINT interrupts as usual."""
     event = threading.Event()
 
     def stop(number: int, _: object) -> None:
@@ -64,25 +64,19 @@ def stop_event() -> threading.Event:
             raise KeyboardInterrupt
         event.set()
 
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-    return event
-
-
-def leave_event() -> threading.Event:
-    """An event that SIGUSR1 sets: what a cluster sends shortly before it takes the node away."""
-    event = threading.Event()
-    signal.signal(signal.SIGUSR1, lambda *_: event.set())
+    for number in signals or (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
     return event
 
 
 def learner(settings: Settings) -> int:
     """Run the learner alone until the run ends or a signal comes; a run that `run.folder` holds is continued.
 
-    SIGINT and SIGTERM stop the run and all its actors. SIGUSR1 ends only this process: actors wait for the next one.
+    SIGINT stops the run and all its actors. SIGTERM and SIGUSR1, by which a cluster takes a node away, end only this
+    process: it writes a checkpoint, and the actors wait for the next learner.
     """
     die_with_parent()
-    stop, leave = stop_event(), leave_event()
+    stop, leave = stop_event(signal.SIGINT), stop_event(signal.SIGTERM, signal.SIGUSR1)
     settings, folder = prepare(settings, or_continue=True)
     if not settings.wire.is_loopback and settings.wire.security == "none":
         log.warning(
@@ -94,8 +88,8 @@ def learner(settings: Settings) -> int:
             part = build_learner(settings, session)
             try:
                 announce(folder, settings.wire.endpoint)
-                part.run(stop.is_set, leave.is_set)
-                announce_gone(folder, ended=not leave.is_set())
+                ended = part.run(stop.is_set, leave.is_set)
+                announce_gone(folder, ended)
             finally:
                 part.close()
         except OSError as error:

@@ -85,22 +85,23 @@ class Learner:
             bus, run.run_id, json.dumps(run.config), epoch=self.epoch, status=lambda: asdict(self.telemetry.status())
         )
 
-    def run(self, stop: Callable[[], bool], leave: Callable[[], bool] = lambda: False) -> None:
+    def run(self, stop: Callable[[], bool], leave: Callable[[], bool] = lambda: False) -> bool:
         """Train until the run's transitions or minutes are reached, or `stop()`; then stop all actors.
 
-        After `leave()` only keep what a successor needs: the actors go on and wait for it.
+        After `leave()` only keep what a successor needs: the actors wait for it. Whether the run has ended.
 
         Raises UserError, naming the last good checkpoint, if training diverges.
         """
         while not stop() and not leave() and not self.finished:
             if not self.step():
                 time.sleep(IDLE_S)
-        if leave():
+        if leave() and not stop() and not self.finished:
             self.save()
             self.checkpoints.wait()
             log.info("left at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
-        else:
-            self.end()
+            return False
+        self.end()
+        return True
 
     def step(self) -> bool:
         """One update if the limiter allows it, and whatever else is due; whether there was an update."""

@@ -163,7 +163,7 @@ class Cluster:
 
     def finish(self) -> Ledger:
         """End the run in order and compare the accounts."""
-        self.signal("learner", signal.SIGTERM)
+        self.signal("learner", signal.SIGINT)
         for name, process in self.processes.items():
             assert process.wait(PATIENCE_S) is not None, name
         return run_ledger(self.run, [self.root / "spools"])

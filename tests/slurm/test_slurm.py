@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -97,7 +98,7 @@ def test_a_run_outlives_its_nodes_and_ends_everywhere_when_it_is_stopped(cluster
     run.grow(100)
     assert json.loads((run.folder / "epoch.json").read_text())["epoch"] >= 2
 
-    cluster.run("scancel", run.learner)
+    cluster.run("scancel", run.learner, run.actors)
     run.wait(lambda: cluster.run("squeue", "--noheader") == "", "all jobs to end")
     run.wait(lambda: cluster.processes() == [], "all processes to end, on the failed node too")
     ledger = run_ledger(run.folder)
@@ -115,11 +116,13 @@ def test_the_time_limit_comes_after_a_checkpoint_and_the_run_goes_on(cluster: Cl
     log = run.folder / "logs" / "learner.log"
     run.wait(lambda: "resumed at" in log.read_text(), "the learner to resume")
     run.grow(80)
-    cluster.run("scancel", run.learner)
+    cluster.run("scancel", run.learner, run.actors)
     run.wait(lambda: cluster.run("squeue", "--noheader") == "", "all jobs to end")
     ledger = run_ledger(run.folder)
     assert ledger.agrees, ledger.sentence()
     left, resumed = (
-        next(line for line in log.read_text().splitlines() if word in line) for word in ("left", "resumed")
+        re.findall(rf"{word} (\d+) transitions, (\d+) updates", log.read_text())[0]
+        for word in ("left at", "resumed at")
     )
-    assert left.split(" at ")[1] == resumed.split(" at ")[1]  # transitions and updates
+    assert left[1] == resumed[1]
+    assert int(left[0]) <= int(resumed[0])  # uploads are stored until the process ends
