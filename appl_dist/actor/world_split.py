@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from appl_dist.errors import UserError
 from appl_dist.sim.generate import generate_worlds
@@ -17,7 +20,7 @@ APPLR_TEST = (
     0, 8, 17, 19, 27, 32, 41, 47, 48, 57, 64, 69, 76, 78, 88, 93, 100, 104, 112, 118, 123, 129, 133, 138, 144, 150, 159,
     163, 168, 175, 184, 189, 193, 201, 208, 214, 218, 226, 229, 237, 240, 246, 256, 258, 265, 270, 277, 284, 290, 294,
 )  # fmt: skip
-BARN_WORLDS = 300
+BARN_DIGEST = "caa5d70e849c6331"  # of BARN's 300 worlds, see `_set_digest`
 TEST_EVERY = 6  # of generated worlds, and of sets of another size: 0, 6, 12, … test and the others train
 
 
@@ -30,7 +33,7 @@ def select_worlds(path: str, count: int, seed: int, split: str) -> list[World]:
     if split == "all":
         return list(worlds.values())
     if split in ("train", "test"):
-        test = test_indices(path, list(worlds))
+        test = test_indices(path, list(worlds.values()))
         indices = [i for i in worlds if (i in test) == (split == "test")]
     else:
         indices = _parse(split)
@@ -51,23 +54,33 @@ def all_worlds(path: str, count: int, seed: int) -> tuple[World, ...]:
     return tuple(load_worlds(path) if path else generate_worlds(count, seed))
 
 
-def test_indices(path: str, indices: Sequence[int]) -> set[int]:
-    """Which worlds of a set are its test worlds.
+def test_indices(path: str, worlds: Sequence[World]) -> set[int]:
+    """Which worlds of a whole set are its test worlds.
 
-    Those that a split file beside the worlds names; of 300 worlds in files APPLR's 50; else every TEST_EVERYth.
+    Those that a split file beside the worlds names; of BARN's 300, recognised by what stands in them, APPLR's 50; else
+    every TEST_EVERYth.
     """
     named = _split_file(Path(path)) if path else None
     if named is not None:
         return named
-    if path and sorted(indices) == list(range(BARN_WORLDS)):
+    if path and _set_digest(worlds) == BARN_DIGEST:
         return set(APPLR_TEST)
-    return {i for i in indices if i % TEST_EVERY == 0}
+    return {w.index for w in worlds if w.index % TEST_EVERY == 0}
 
 
-def split_groups(path: str, everything: Sequence[int], indices: Sequence[int]) -> dict[str, list[int]]:
+def _set_digest(worlds: Sequence[World]) -> str:
+    """A digest of indices and cylinders, rounded to 0.1 mm: the same for every format that BARN comes in."""
+    digest = hashlib.sha256()
+    for world in worlds:
+        rounded = np.round(world.cylinders[np.lexsort(world.cylinders.T)] * 1e4).astype("<i8")
+        digest.update(f"{world.index}:".encode() + rounded.tobytes())
+    return digest.hexdigest()[:16]
+
+
+def split_groups(path: str, everything: Sequence[World], indices: Sequence[int]) -> dict[str, list[int]]:
     """Indices by the split they belong to, as the papers' tables report them; empty splits are left out.
 
-    everything: the indices of the whole set.
+    everything: the whole set.
     """
     test = test_indices(path, everything)
     groups = {"train": [i for i in indices if i not in test], "test": [i for i in indices if i in test]}

@@ -59,7 +59,7 @@ def evaluate_methods(
     check_not_trained_on(settings, methods)
     world = settings.world
     worlds = select_worlds(world.path, world.count, world.seed, settings.evaluation.worlds)
-    everything = [w.index for w in all_worlds(world.path, world.count, world.seed)]
+    everything = all_worlds(world.path, world.count, world.seed)
     with _workers(settings, folder) as workers:
         run_evaluation(
             methods,

@@ -20,7 +20,7 @@ _IGNORED = {
     "light", "gravity", "magnetic_field", "atmosphere", "physics", "scene", "spherical_coordinates", "gui", "audio",
     "wind", "inertial", "material", "surface", "max_contacts", "laser_retro", "self_collide", "kinematic",
     "cast_shadows", "meta", "transparency", "enable_wind", "allow_auto_disable", "velocity_decay", "acceleration",
-    "velocity", "wrench", "sim_time", "real_time", "wall_time", "iterations", "plugin", "insertions", "deletions",
+    "velocity", "wrench", "sim_time", "real_time", "wall_time", "iterations", "plugin",
     "must_be_base_link", "static",
 }  # fmt: skip
 _TREE = {
@@ -31,10 +31,11 @@ _TREE = {
     "collision": {"pose", "geometry"},
     "visual": set(),
     "geometry": None,
-    "state": {"model", "light"},
+    "state": {"model", "light", "insertions", "deletions"},
     "include": {"uri", "name", "pose"},
 }  # fmt: skip
 _KNOWN_MODELS = ("model://sun", "model://ground_plane")
+_ONCE = {"pose", "geometry", "radius", "length", "scale", "normal", "uri"}  # at most one in its parent
 _FLAT = 1e-6  # rad
 _LIDAR_M = (0.05, 0.35)  # heights that an obstacle must cover to be what the robot's lidar and body meet
 Pose = tuple[float, float, float, float]  # x, y, z, yaw
@@ -90,6 +91,8 @@ class _Reader:
         in_shape = len(self._stack) > 1 and self._stack[-2].tag == "geometry"  # a shape is judged as a whole
         if parent is not self.root and allowed is not None and tag not in allowed and not in_shape:
             raise self.fail(element, f"<{tag}> in <{parent.tag}> is unknown; it could stand in the robot's way")
+        if tag in _ONCE and parent.one(tag) is not None:
+            raise self.fail(element, f"a second <{tag}> in {parent.name}")
         parent.children.append(element)
         self._stack.append(element)
 
@@ -146,6 +149,9 @@ class _Reader:
                 raise self.fail(child, f"<{child.tag}> could stand in the robot's way and cannot be read")
         saved = self._saved(world)
         models = world.all("model")
+        names = [m.attributes.get("name", "") for m in models]
+        if saved and len(set(names)) < len(names):
+            raise UserError(f"{self.where}: two models have one name, so that <state> cannot be applied")
         if missing := sorted(saved.keys() - {m.attributes.get("name", "") for m in models}):
             raise self.fail(saved[missing[0]], f"<state> has a model {missing[0]!r} that the world lacks")
         found = [row for model in models for row in self._model(model, saved)]
@@ -158,6 +164,8 @@ class _Reader:
 
     def _model(self, model: _Element, saved: dict[str, _Element]) -> list[tuple[float, float, float]]:
         """x, y, radius of every cylinder of a model."""
+        if model.attributes.get("placement_frame", ""):
+            raise self.fail(model, f"placement_frame of {model.name} is not supported")
         state = saved.get(model.attributes.get("name", ""))
         pose = self.pose(model if state is None or state.one("pose") is None else state)
         if state is not None:
@@ -182,7 +190,8 @@ class _Reader:
         moved = next((s for s in (state.all("link") if state else []) if s.attributes.get("name", "") == name), None)
         if moved is not None and moved.one("pose") is not None:
             now, then = self.pose(moved), _composed(model_pose, pose)
-            if max(abs(a - b) for a, b in zip(now[:2], then[:2], strict=True)) > 1e-3:
+            turn = math.remainder(now[3] - then[3], math.tau)
+            if max(abs(turn), *(abs(a - b) for a, b in zip(now[:3], then[:3], strict=True))) > 1e-3:
                 raise self.fail(moved, f"<state> moves {link.name} within its model; not supported")
         return pose
 

@@ -147,7 +147,11 @@ def _load_sdf(source: Path, files: Iterator[tuple[str, bytes]]) -> list[World]:
         world = re.search(r"(?:^|/)world_(\d+)\.world$", name)
         route = re.search(r"(?:^|/)path_(\d+)\.npy$", name)
         if world:
+            if int(world[1]) in cylinders:
+                raise UserError(f"{source}: {name}: a second world {int(world[1])}; give each its own index")
             cylinders[int(world[1])] = parse_sdf(data, f"{source}: {name}")
+        elif name.endswith(".world"):
+            raise UserError(f"{source}: {name}: has no index; name it world_<i>.world, or remove it")
         elif route:
             cells[int(route[1])] = _read_path(data, f"{source}: {name}")
     if not cylinders:
@@ -215,8 +219,11 @@ def _load_compact(worlds_file: Path) -> list[World]:
 
 def _radii(file: Path, count: int) -> Floats:
     """(count,) radii, m: one for all, or one for each cylinder."""
-    with np.load(file, allow_pickle=False) as archive:
-        axes = 1 if "radius" in archive.files and archive["radius"].ndim == 1 else 0
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            axes = 1 if "radius" in archive.files and archive["radius"].ndim == 1 else 0
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(f"{file}: not a readable npz file ({error})") from error
     radii = np.round(_read_npz(file, {"radius": ("f", axes)})["radius"].astype(np.float64), 6)
     if axes and len(radii) != count:
         raise UserError(f"{file}: radius: got {len(radii)} for {count} cylinders; expected one for all or one for each")

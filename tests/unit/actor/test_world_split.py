@@ -3,29 +3,39 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
-from appl_dist.actor.world_split import APPLR_TEST, select_worlds, split_groups
+from appl_dist.actor.world_split import APPLR_TEST, all_worlds, select_worlds, split_groups
 from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.worlds_command import save_worlds
 from tests.shared_data import shared
 
 
 @pytest.fixture(scope="module")
-def barn_like(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """300 worlds without a split file beside them."""
+def barn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The real worlds, without the split file beside them."""
     folder = tmp_path_factory.mktemp("barn")
-    save_worlds(generate_worlds(300, 7), folder)
+    for name in ("barn_worlds.npz", "barn_paths.npz"):
+        shutil.copy(shared("barn", name), folder)
     return folder
 
 
-def test_of_300_worlds_applrs_50_test_without_any_file(barn_like: Path) -> None:
-    assert [w.index for w in select_worlds(str(barn_like), 0, 0, "test")] == list(APPLR_TEST)
-    train = [w.index for w in select_worlds(str(barn_like), 0, 0, "train")]
+def test_of_barns_300_worlds_applrs_50_test_without_any_file(barn: Path) -> None:
+    assert [w.index for w in select_worlds(str(barn), 0, 0, "test")] == list(APPLR_TEST)
+    train = [w.index for w in select_worlds(str(barn), 0, 0, "train")]
     assert sorted({*train, *APPLR_TEST}) == list(range(300)) and len(train) == 250
-    assert split_groups(str(barn_like), range(300), [0, 1, 6, 8]) == {"train": [1, 6], "test": [0, 8]}
+    everything = all_worlds(str(barn), 0, 0)
+    assert split_groups(str(barn), everything, [0, 1, 6, 8]) == {"train": [1, 6], "test": [0, 8]}
+
+
+def test_saved_worlds_have_the_split_they_were_generated_with(tmp_path: Path) -> None:
+    save_worlds(generate_worlds(14, 0), tmp_path / "set")
+    for split in ("train", "test"):
+        saved = [w.index for w in select_worlds(str(tmp_path / "set"), 0, 0, split)]
+        assert saved == [w.index for w in select_worlds("", 14, 0, split)]
 
 
 def test_the_shipped_split_is_the_published_one() -> None:
@@ -37,9 +47,9 @@ def test_generated_worlds_have_a_split_of_their_own() -> None:
     assert [w.index for w in select_worlds("", 14, 0, "test")] == [0, 6, 12]
 
 
-def test_a_split_file_beside_the_worlds_counts(barn_like: Path) -> None:
-    (barn_like / "applr_split.json").write_text('{"heldout": [2, 3]}')
+def test_a_split_file_beside_the_worlds_counts(barn: Path) -> None:
+    (barn / "applr_split.json").write_text('{"heldout": [2, 3]}')
     try:
-        assert [w.index for w in select_worlds(str(barn_like), 0, 0, "test")] == [2, 3]
+        assert [w.index for w in select_worlds(str(barn), 0, 0, "test")] == [2, 3]
     finally:
-        (barn_like / "applr_split.json").unlink()
+        (barn / "applr_split.json").unlink()

@@ -79,6 +79,13 @@ def test_ground_and_appearance_do_not_matter() -> None:
         (GROUND.replace("<pose>0 0 0 ", "<pose>0 0 1 "), "a plane that is not the ground"),
         ("<model name='v'><link name='l'><visual name='v'/></link></model>", "seen but cannot be touched"),
         ("", "holds no cylinder"),
+        (model(0, 8, collision="<pose>0 0 0 0 0 0</pose><pose>1 0 0 0 0 0</pose>"), "a second <pose> in collision 'c'"),
+        (model(0, 8).replace("<model name='m'>", "<model name='m' placement_frame='f'>"), "placement_frame of model"),
+        (
+            model(0, 8) + "<state><insertions><model name='b'/></insertions></state>",
+            "<model> in <insertions> is unknown",
+        ),
+        (model(0, 8) + model(1, 8) + "<state><model name='m'/></state>", "two models have one name"),
     ],
 )
 def test_what_cannot_be_read_is_refused_by_name_and_line(text: str, sentence: str) -> None:
