@@ -27,7 +27,8 @@ from appl_dist.wire.typed import decode
 log = logging.getLogger(__name__)
 
 MAX_CONFIG_BYTES = 1 << 20
-MAX_STATUS_BYTES = 1 << 20
+_MAX_DEPTH = 16  # of maps and lists in a configuration
+MAX_STATUS_BYTES = 8 << 20  # as many actors as there may be, with names of any length
 
 
 class ControlServer:
@@ -160,9 +161,14 @@ def fetch_run(bus: Bus, timeout_s: float = 10.0) -> tuple[str, dict[str, Any]]:
 def _json_object(text: object) -> dict[str, Any] | None:
     try:
         value = json.loads(text) if isinstance(text, str) else None
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
-    return value if isinstance(value, dict) else None
+    return value if isinstance(value, dict) and not _deeper_than(_MAX_DEPTH, value) else None
+
+
+def _deeper_than(depth: int, value: object) -> bool:
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return any(depth == 0 or _deeper_than(depth - 1, item) for item in inside)
 
 
 def fetch_status(bus: Bus, run_id: str, timeout_s: float = 5.0) -> dict[str, Any]:

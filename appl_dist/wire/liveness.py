@@ -20,11 +20,12 @@ from appl_dist.wire.bus import Bus, Message
 from appl_dist.wire.codec import pack, unpack_map
 from appl_dist.wire.run_status import Progress
 from appl_dist.wire.typed import decode
+from appl_dist.wire.wire_settings import MAX_CONNECTIONS
 
 log = logging.getLogger(__name__)
 
 MAX_PROGRESS_BYTES = 16 << 10
-_MAX_MEMBERS = 4096
+_MAX_INCARNATIONS = 16  # live processes counted under one id
 
 
 class Presence:
@@ -130,7 +131,7 @@ class Roster:
     def _record(self, role: str, member_id: str) -> _Record | None:
         record = self._records.get((role, member_id))
         if record is None:
-            if len(self._records) >= _MAX_MEMBERS:
+            if len(self._records) >= MAX_CONNECTIONS:
                 gone = next((key for key, old in self._records.items() if not old.incarnations), None)
                 if gone is None:
                     return None
@@ -147,10 +148,10 @@ class Roster:
             record = self._record(role, member_id)
             if record is None:
                 return
-            if present:
+            if present and len(record.incarnations) < _MAX_INCARNATIONS:
                 record.incarnations.add(incarnation)
                 record.reporter = record.reporter or incarnation
-            else:
+            elif not present:
                 record.incarnations.discard(incarnation)
 
     def _heard(self, message: Message) -> None:

@@ -20,12 +20,11 @@ from appl_dist.errors import PassingFault, UserError
 from appl_dist.wire.access import access_control, rate_limits, size_limits
 from appl_dist.wire.bus import Handle, Message, Query
 from appl_dist.wire.credentials import CA_FILE, CERTIFICATE_FILE, KEY_FILE, LEARNER, USERS_FILE, Identity, find
-from appl_dist.wire.wire_settings import MAX_ACTORS, WireSettings
+from appl_dist.wire.wire_settings import MAX_ACTORS, MAX_CONNECTIONS, WireSettings
 
 log = logging.getLogger(__name__)
 
 _MAX_MESSAGE_BYTES = 64 << 20  # refused by the transport itself, before anything of ours sees it
-_MAX_SESSIONS = MAX_ACTORS + 96
 
 
 class EndpointInUse(UserError):
@@ -70,9 +69,9 @@ def _why(settings: WireSettings, listen: bool, error: str) -> str:
     if listen:
         return f"wire.endpoint: cannot listen on {settings.endpoint}: {error.split(' at /', 1)[0]}"
     return (
-        f"wire.endpoint: no learner answered at {settings.connect_endpoint} within {settings.timeout_s:g} s; either "
-        "no learner runs there, or it refused the credentials (user, password or certificates; the wire does "
-        "not say which)"
+        f"wire.endpoint: no learner answered at {settings.connect_endpoint} within {settings.timeout_s:g} s: no "
+        "learner runs there, or it refused the credentials (user, password or certificates), or it already has its "
+        f"{MAX_ACTORS:,} actors; the wire does not say which"
     )
 
 
@@ -81,8 +80,8 @@ def _config(settings: WireSettings, listen: bool, identity: str) -> dict[str, An
     transport: dict[str, Any] = {
         "shared_memory": {"enabled": False},
         "unicast": {
-            "accept_pending": _MAX_SESSIONS,  # the default of 100 refuses part of a large fleet's start
-            "max_sessions": _MAX_SESSIONS,
+            "accept_pending": MAX_CONNECTIONS,  # the default of 100 refuses part of a large fleet's start
+            "max_sessions": MAX_CONNECTIONS,
             "open_timeout": round(settings.timeout_s * 1000),
             "accept_timeout": round(settings.timeout_s * 1000),
         },

@@ -1,7 +1,8 @@
 """Maps from the wire as frozen dataclasses: every field there, of its type and within its bounds, or ValueError.
 
-A dataclass states its own limits as `Annotated[int, Range(low, high)]`. Without one an int is within 0..MAX_COUNT, a
-float is finite, and a string is printable and at most MAX_TEXT characters long.
+A dataclass states its own limits as `Annotated[int, Range(low, high)]` or `Annotated[str, Length(most)]`. Without
+one an int is within 0..MAX_COUNT, a float is finite, and a string is printable and at most MAX_TEXT characters long.
+A value of type Any is left to its reader.
 """
 
 from __future__ import annotations
@@ -30,6 +31,13 @@ class Range:
     high: float
 
 
+@dataclass(frozen=True)
+class Length:
+    """The number of printable characters a string may have."""
+
+    most: int
+
+
 ANY_COUNT, ANY_FLOAT = Range(0, MAX_COUNT), Range(-math.inf, math.inf)
 
 
@@ -48,13 +56,15 @@ def _hints(kind: Any) -> dict[str, Any]:
     return typing.get_type_hints(kind, include_extras=True)
 
 
-def _value(hint: Any, value: Any, name: str, limits: Range | None) -> Any:
+def _value(hint: Any, value: Any, name: str, limits: Range | Length | None) -> Any:
+    if hint is Any:
+        return value
     if dataclasses.is_dataclass(hint):
         return decode(typing.cast(type, hint), value)
     origin, inside = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Annotated:
         return _value(inside[0], value, name, inside[1])
-    if origin is types.UnionType:  # X | None
+    if origin in (types.UnionType, typing.Union):  # X | None
         return None if value is None else _value(inside[0], value, name, limits)
     if origin is tuple:
         if not isinstance(value, list | tuple) or len(value) > MAX_ITEMS:
@@ -67,15 +77,16 @@ def _value(hint: Any, value: Any, name: str, limits: Range | None) -> Any:
     return _plain(hint, value, name, limits)
 
 
-def _plain(hint: Any, value: Any, name: str, limits: Range | None) -> Any:
+def _plain(hint: Any, value: Any, name: str, limits: Range | Length | None) -> Any:
     if hint is float and type(value) is int and abs(value) <= MAX_COUNT:
         value = float(value)
     if type(value) is not hint:
         raise ValueError(f"{name}: got {value!r:.40}; expected {hint.__name__}")
-    if hint is str and not (len(value) <= MAX_TEXT and value.isprintable()):
-        raise ValueError(f"{name}: got {value!r:.40}; expected up to {MAX_TEXT} printable characters")
+    most = limits.most if isinstance(limits, Length) else MAX_TEXT
+    if hint is str and not (len(value) <= most and value.isprintable()):
+        raise ValueError(f"{name}: got {value!r:.40}; expected up to {most} printable characters")
     if hint in (int, float):
-        allowed = limits or (ANY_COUNT if hint is int else ANY_FLOAT)
+        allowed = limits if isinstance(limits, Range) else (ANY_COUNT if hint is int else ANY_FLOAT)
         if not (math.isfinite(value) and allowed.low <= value <= allowed.high):
             raise ValueError(f"{name}: got {value!r:.40}; allowed {allowed.low:g}..{allowed.high:g}")
     return value

@@ -9,7 +9,8 @@ from appl_dist.errors import UserError
 
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
 _LOOPBACK = ("127.", "localhost", "[::1]")
-MAX_ACTORS = 4000  # of one learner: as many connections as it takes, less some for views and checks
+MAX_ACTORS = 4000  # of one learner
+MAX_CONNECTIONS = MAX_ACTORS + 96  # that a learner accepts: its actors, views and checks
 SECURITY = ("auto", "none", "password", "tls")
 
 

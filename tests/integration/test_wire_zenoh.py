@@ -6,10 +6,11 @@ from dataclasses import asdict
 
 import pytest
 
-from appl_dist.errors import UserError
+from appl_dist.errors import PassingFault, UserError
 from appl_dist.learner.ingest import Ingest
 from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
+from appl_dist.wire import session as wire_session
 from appl_dist.wire.codec import (
     Ack,
     UploadHeader,
@@ -56,6 +57,18 @@ def test_a_taken_port_is_a_sentence(settings, learner):
 def test_no_learner_is_a_sentence_with_both_causes(settings):
     with pytest.raises(UserError, match=r"no learner runs there, or it refused the credentials"):
         open_session(settings, listen=False)
+
+
+def test_one_more_than_the_learner_takes_is_a_sentence_with_the_bound(settings, monkeypatch):
+    monkeypatch.setattr(wire_session, "MAX_CONNECTIONS", 2)
+    with open_session(settings, listen=True), open_session(settings, listen=False):
+        with (
+            open_session(settings, listen=False),
+            pytest.raises(PassingFault, match=r"it already has its 4,000 actors"),
+        ):
+            open_session(settings, listen=False)
+        with open_session(settings, listen=False) as next_one:  # the place of one that has gone is free
+            assert next_one.identity
 
 
 def test_a_host_that_is_not_ours_cannot_be_listened_on():

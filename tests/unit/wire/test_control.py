@@ -70,6 +70,8 @@ def test_a_state_that_cannot_be_read_is_counted_and_ignored(hub, data):
         (pack({"wire": WIRE_VERSION, "run": "a/b", "config": "{}"}), "describes its run as 'a/b'"),
         (pack({"wire": WIRE_VERSION, "run": "run1", "config": "["}), "describes its run"),
         (pack({"wire": WIRE_VERSION, "run": "run1", "config": "[]"}), "describes its run"),
+        (pack({"wire": WIRE_VERSION, "run": "run1", "config": '{"a":' + "[" * 400_000}), "describes its run"),
+        (pack({"wire": WIRE_VERSION, "run": "run1", "config": '{"a":' * 99 + "1" + "}" * 99}), "describes its run"),
         (bytes(2 << 20), "cannot be read"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import asdict
 from typing import Any
 
 import pytest
@@ -10,14 +11,21 @@ import pytest
 from appl_dist.errors import UserError
 from appl_dist.spec import WIRE_VERSION
 from appl_dist.wire import key_expressions as keys
-from appl_dist.wire.codec import pack, unpack_map
+from appl_dist.wire.codec import pack
 from appl_dist.wire.memory import MemoryHub, MemorySession
 from appl_dist.wire.work import ALONE_S, MAX_FAILURES, PATIENCE_S, WorkClient, WorkServer
+from appl_dist.wire.work_messages import Answer, Question, decode_message, encode
 
 
-def check(job: int, result: dict[str, Any]) -> None:
-    if result.get("square") != job * job:
-        raise ValueError(f"result: got {result}")
+def read(job: int, received: dict[str, Any]) -> dict[str, Any]:
+    if received.get("square") != job * job:
+        raise ValueError(f"result: got {received}")
+    return received
+
+
+def question(**changes: Any) -> bytes:
+    """A question with some fields changed, whatever they are."""
+    return pack({"wire": WIRE_VERSION, **asdict(Question("i")), **changes})
 
 
 class Place:
@@ -26,7 +34,7 @@ class Place:
     def __init__(self, count: int) -> None:
         self.hub, self.now_s = MemoryHub(), 0.0
         jobs = [{"number": i} for i in range(count)]
-        self.server = WorkServer(self.hub.connect(), "r", jobs, {"a.bin": b"abc"}, check, clock=lambda: self.now_s)
+        self.server = WorkServer(self.hub.connect(), "r", jobs, {"a.bin": b"abc"}, read, clock=lambda: self.now_s)
 
     def worker(self, name: str) -> tuple[MemorySession, WorkClient]:
         bus = self.hub.connect()
@@ -78,15 +86,15 @@ def test_a_job_that_is_out_for_long_goes_to_an_idle_worker_too() -> None:
     place = Place(1)
     assert place.worker("actor-0")[1].next() is not None  # and then hangs
     bus, _ = place.worker("actor-1")
-    assert "wait_s" in ask(bus, "actor-1")
+    assert ask(bus, "actor-1") == Answer()
     place.now_s = PATIENCE_S + 1.0
-    assert ask(bus, "actor-1")["job"] == 0
+    assert ask(bus, "actor-1").job == 0
 
 
 def test_a_worker_whose_answer_was_lost_gets_the_same_job() -> None:
     place = Place(2)
     bus, client = place.worker("actor-0")
-    assert ask(bus, "actor-0")["job"] == 0  # never arrives
+    assert ask(bus, "actor-0").job == 0  # never arrives
     job = client.next()
     assert job is not None
     assert job.job == 0
@@ -100,23 +108,32 @@ def test_files_are_served_and_only_those() -> None:
 
 
 @pytest.mark.parametrize(
-    "question",
+    "message",
     [
         b"nonsense",
-        pack({"wire": WIRE_VERSION + 1}),
-        pack({"wire": WIRE_VERSION, "job": 7, "result": {}}),
-        pack({"wire": WIRE_VERSION, "job": "0", "result": {}}),
-        pack({"wire": WIRE_VERSION, "job": 0, "result": {"square": 5}}),
-        pack({"wire": WIRE_VERSION, "job": 0, "result": 5}),
+        question(wire=WIRE_VERSION + 1),
+        question(job=7, result={}),
+        question(job="0", result={}),
+        question(job=False, result={"square": 0}),
+        question(job=0, result={"square": 5}),
+        question(job=0, result=5),
+        question(job=0),
+        question(job=0, result={"square": 0}, failed="x"),
+        question(file=["a.bin"]),
+        question(file={}),
+        question(failed="a\nb"),
+        question(failed="x" * 2001),
+        question(incarnation="a/b"),
+        question(more=1),
         b"\0" * (2 << 20),
     ],
 )
-def test_what_cannot_be_is_refused_and_changes_nothing(question: bytes) -> None:
+def test_what_cannot_be_is_refused_and_changes_nothing(message: bytes) -> None:
     place = Place(1)
     bus, client = place.worker("actor-0")
-    answer = bus.get(keys.work("r", "actor-1"), question)
+    answer = bus.get(keys.work("r", "actor-1"), message)
     assert answer is not None
-    assert "error" in unpack_map(answer.payload, 1 << 20)
+    assert decode_message(Answer, answer.payload, 1 << 20).error
     assert place.server.counts == {"malformed": 1}
     assert work(client) == 1
     assert place.collect() == {0: {"square": 0}}
@@ -157,7 +174,44 @@ def test_nobody_there_is_said() -> None:
         client.next()
 
 
-def ask(bus: MemorySession, worker: str) -> dict[str, Any]:
-    answer = bus.get(keys.work("r", worker), pack({"wire": WIRE_VERSION, "incarnation": bus.identity}))
+@pytest.mark.parametrize(
+    "answer",
+    [
+        pack({"wire": WIRE_VERSION + 1}),
+        pack({"wire": WIRE_VERSION, **asdict(Answer()), "job": True, "what": {}}),
+        pack({"wire": WIRE_VERSION, **asdict(Answer()), "job": 1, "what": [1]}),
+        pack({"wire": WIRE_VERSION, **asdict(Answer()), "over": "no"}),
+        pack({"wire": WIRE_VERSION, **asdict(Answer()), "error": "a\nb"}),
+        pack({"wire": WIRE_VERSION, **asdict(Answer()), "file": "text"}),
+    ],
+)
+def test_an_answer_that_cannot_be_read_is_a_sentence(answer: bytes) -> None:
+    hub = MemoryHub()
+    hub.connect().serve(keys.work("r", "actor-0"), lambda query: query.reply(answer))
+    client = WorkClient(hub.connect(), "r", "actor-0", lambda: False, away_s=0.5)
+    with pytest.raises(UserError, match="evaluation: an answer that cannot be read: ") as caught:
+        client.next()
+    assert "\n" not in str(caught.value)
+
+
+def test_refused_senders_are_logged_once_each_and_only_the_first(caplog: pytest.LogCaptureFixture) -> None:
+    place = Place(1)
+    bus, _ = place.worker("actor-0")
+    for i in range(200):
+        bus.get(keys.work("r", f"bad-{i % 100}"), b"nonsense")
+    assert place.server.counts == {"malformed": 200}
+    assert len(caplog.records) == 20
+
+
+def test_a_long_reason_keeps_its_end_on_one_line() -> None:
+    place = Place(1)
+    place.worker("actor-0")[1].fail("Traceback\n" + "x" * 5000 + "\nKeyError: 'lidar'\n")
+    place.now_s += ALONE_S + 1.0
+    with pytest.raises(UserError, match=r"x\\nKeyError: 'lidar'$"):
+        place.collect()
+
+
+def ask(bus: MemorySession, worker: str) -> Answer:
+    answer = bus.get(keys.work("r", worker), encode(Question(bus.identity)))
     assert answer is not None
-    return unpack_map(answer.payload, 1 << 20)
+    return decode_message(Answer, answer.payload, 1 << 20)
