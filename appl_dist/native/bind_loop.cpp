@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "check.h"
+#include "python_planner.h"
 
 extern "C" {
 #include "loop.h"
@@ -40,9 +41,14 @@ class Loop {
         : parts_{robot_, lidar_, planner}, l_(new navigation_loop{}) {
         l_->body = core_of<robot>(robot_, "robot");
         l_->sensor = core_of<lidar>(lidar_, "lidar");
-        l_->planner = core_of<navigator>(planner, "navigator");
+        if (nb::hasattr(planner, "core")) {
+            l_->planner = *core_of<planner_interface>(planner, "planner");
+        } else {
+            python_ = std::make_unique<appl::PythonPlanner>(planner, static_cast<int>(l_->sensor->spec.beams));
+            l_->planner = python_->interface();
+        }
         l_->lidar_x = lidar_x_m;
-        if (l_->sensor->spec.beams != static_cast<size_t>(l_->planner->set.beams))
+        if (l_->sensor->spec.beams != static_cast<size_t>(l_->planner.beams))
             throw nb::value_error("lidar.beams: the planner expects as many as the lidar has");
         ranges_.resize(l_->sensor->spec.beams);
         l_->ranges = ranges_.data();
@@ -69,8 +75,13 @@ class Loop {
     int run(int64_t end_ms, bool watched) {
         l_->watched = watched;
         make_room(end_ms - l_->now_ms);
-        nb::gil_scoped_release unlocked;
-        return loop_run(l_.get(), end_ms);
+        loop_pause pause;
+        {
+            nb::gil_scoped_release unlocked;
+            pause = loop_run(l_.get(), end_ms);
+        }
+        if (pause == LOOP_FAILED) python_->rethrow();
+        return pause;
     }
     void stepped(int ms) { l_->now_ms += ms; }
 
@@ -115,6 +126,7 @@ class Loop {
     std::unique_ptr<navigation_loop> l_;
     std::vector<float> ranges_;
     std::vector<double> samples_;
+    std::unique_ptr<appl::PythonPlanner> python_;
 };
 
 class Rate {

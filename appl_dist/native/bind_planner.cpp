@@ -62,6 +62,7 @@ planner_parameters parameters_of(const Array &values, const planner_settings &se
 
 class Planner {
 public:
+    Planner(const Planner &) = delete;
     Planner(nb::handle settings, const Array &parameters) {
         const planner_settings set = settings_of(settings);
         const planner_parameters par = parameters_of(parameters, set);
@@ -70,6 +71,7 @@ public:
         if (!memory_) throw std::bad_alloc();
         char *aligned = memory_.get() + (64 - reinterpret_cast<uintptr_t>(memory_.get()) % 64) % 64;
         n_ = navigator_init(aligned, &set, &par, is_fast(settings));
+        interface_ = navigator_interface(n_);
     }
 
     void reset(const Array &goal) {
@@ -250,7 +252,7 @@ public:
     long rollout_steps() const { return n_->local_plan.rollouts.rollout_steps; }
     long navfn_cells() const { return n_->plan.cells; }
     size_t bytes() const { return bytes_; }
-    nb::capsule core() { return nb::capsule(n_, "navigator"); }
+    nb::capsule core() { return nb::capsule(&interface_, "planner"); }
 
 private:
     struct Free {
@@ -271,6 +273,7 @@ private:
     std::unique_ptr<char, Free> memory_;
     size_t bytes_ = 0;
     navigator *n_ = nullptr;
+    planner_interface interface_{};
 };
 
 }  // namespace

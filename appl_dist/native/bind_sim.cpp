@@ -126,6 +126,10 @@ void bind_sim(nb::module_ &m) {
         .def_rw("wheel_x", &vehicle_spec::wheel_x)
         .def_rw("wheel_y", &vehicle_spec::wheel_y)
         .def_rw("wheel_half_width", &vehicle_spec::wheel_half_width)
+        .def_rw("wheel_radius", &vehicle_spec::wheel_radius)
+        .def_rw("chassis_x", &vehicle_spec::chassis_x)
+        .def_rw("chassis_y", &vehicle_spec::chassis_y)
+        .def_rw("hull_radius", &vehicle_spec::hull_radius)
         .def_rw("friction", &vehicle_spec::friction)
         .def_rw("separation", &vehicle_spec::separation)
         .def_rw("max_v", &vehicle_spec::max_v)
@@ -139,7 +143,7 @@ void bind_sim(nb::module_ &m) {
         .def_rw("odom_noise_w", &vehicle_spec::odom_noise_w)
         .def_rw("odom_noise_yaw", &vehicle_spec::odom_noise_yaw);
 
-    nb::class_<Robot>(m, "Robot", "A Jackal's planar motion among cylinders, see robot.h and tyres.h.")
+    nb::class_<Robot>(m, "Robot", "A robot's planar motion among cylinders, see robot.h and tyres.h.")
         .def(nb::init<const vehicle_spec &>(), nb::arg("spec"))
         .def("reset", &Robot::reset, nb::arg("pose"), nb::arg("seed"), nb::arg("cylinders"))
         .def("command", &Robot::command, nb::arg("v"), nb::arg("w"), nb::arg("age_ms"))

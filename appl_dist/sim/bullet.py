@@ -1,4 +1,4 @@
-"""The Jackal as a pybullet body among cylinders: contacts, and what they do to its motion.
+"""The robot as a pybullet body among cylinders: contacts, and what they do to its motion.
 
 Traction does not come from here. Wheels and ground are frictionless in pybullet; the tyre forces of
 csrc/tyres.c move the robot, and this body is given the velocity they give, so that only contacts with obstacles
@@ -12,14 +12,12 @@ from __future__ import annotations
 
 import math
 import os
-from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
-from appl_dist.sim.robot import BASE_HEIGHT_M
+from appl_dist.sim.robot import RobotModel
 from appl_dist.sim.worlds import Floats
 
-URDF = Path(__file__).with_name("jackal.urdf")
 CYLINDERS_PER_BODY = 16  # the most createCollisionShapeArray takes
 CYLINDER_LENGTH_M = 1.0  # centred on the ground plane, as in the world files
 SOLVER_ITERATIONS = 50  # as Gazebo's
@@ -62,7 +60,8 @@ class Motion(NamedTuple):
 class BulletBody:
     """One robot and the obstacles of one world in an own pybullet client."""
 
-    def __init__(self) -> None:
+    def __init__(self, model: RobotModel) -> None:
+        self._model = model
         self._client = p.connect(p.DIRECT)
         if self._client < 0:
             raise RuntimeError("pybullet: no client left in this process; close simulators that are done")
@@ -106,7 +105,7 @@ class BulletBody:
         for first in range(0, len(cylinders), CYLINDERS_PER_BODY):
             self._add_obstacles(cylinders[first : first + CYLINDERS_PER_BODY], visual)
         flags = p.URDF_USE_IMPLICIT_CYLINDER | p.URDF_USE_INERTIA_FROM_FILE
-        self._robot = p.loadURDF(str(URDF), flags=flags, physicsClientId=client)
+        self._robot = p.loadURDF(str(self._model.urdf), flags=flags, physicsClientId=client)
         for link in range(-1, p.getNumJoints(self._robot, physicsClientId=client)):
             friction = 1.0 if link < 0 else 0.5
             p.changeDynamics(
@@ -149,7 +148,7 @@ class BulletBody:
 
     def land(self) -> None:
         """Forget the last contact: the next step starts level, at rest vertically, wheels on the ground."""
-        self._height = BASE_HEIGHT_M + self._com[2]
+        self._height = self._model.base_height_m + self._com[2]
         self._vertical = (0.0, 0.0, 0.0)
         self.touching = self.held = False
         self.tilt_rad = 0.0

@@ -1,23 +1,15 @@
-"""The Jackal and its lidar as numbers: Clearpath's jackal_description and jackal_control, BARN challenge."""
+"""What a robot with four skid-steered wheels and a lidar is in numbers: its model, how it drives, what it sees."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 from appl_dist._native import Lidar, VehicleSpec
 from appl_dist.spec import LIDAR_BEAMS
 
 DRIVES = ("tyres", "ideal")
-TRACK_M = 0.37559
-WHEEL_RADIUS_M = 0.098
-BASE_HEIGHT_M = 0.0635  # base_link above the ground
-# Chassis 16.523 kg, lidar body 1.1 kg, four wheels of 0.477 kg.
-MASS_KG = 19.531
-INERTIA_Z = 0.555  # kg m^2 about the centre of mass
-# x, y in base_link, height above the ground. The masses give a height of 0.137; 0.145 is the one number fitted, to
-# the last two of 144 steady velocities that were off by slightly more than 10 % (benchmarks/jackal_response.py).
-COM_M = (0.01325, 0.0017, 0.145)
 
 
 def _require(name: str, value: float, low: float, high: float) -> None:
@@ -26,9 +18,59 @@ def _require(name: str, value: float, low: float, high: float) -> None:
 
 
 @dataclass(frozen=True)
-class RobotSettings:
-    """How the robot drives: "tyres" slide as in Gazebo, "ideal" follows its limited command exactly."""
+class RobotModel:
+    """The body of a robot: what no setting changes. Lengths in m, masses in kg; x ahead, y left, in base_link.
 
+    urdf: its rigid bodies for contacts; its first four joints are the wheels: front left and right, rear left and
+        right. It has to agree with the figures here.
+    base_height_m: base_link above the ground. mass_kg, inertia_z_kgm2, com_m: of the whole robot, the inertia about
+        the centre of mass; com_m: x, y in base_link, height above the ground.
+    wheel_x_m, wheel_y_m: half the wheelbase and half the track; wheel_half_width_m; wheel_radius_m.
+    chassis_half_m: half length and half width of the collision box.
+    hull_radius_m: no point of chassis and wheels is farther from base_link.
+    """
+
+    urdf: Path
+    base_height_m: float
+    mass_kg: float
+    inertia_z_kgm2: float
+    com_m: tuple[float, float, float]
+    wheel_x_m: float
+    wheel_y_m: float
+    wheel_half_width_m: float
+    wheel_radius_m: float
+    chassis_half_m: tuple[float, float]
+    hull_radius_m: float
+
+    def vehicle(self, settings: RobotSettings) -> VehicleSpec:
+        """This robot, driving as `settings` say, as the C core's struct."""
+        spec = VehicleSpec()
+        spec.mass, spec.inertia_z = self.mass_kg, self.inertia_z_kgm2
+        spec.com_x, spec.com_y, spec.com_z = self.com_m
+        spec.wheel_x, spec.wheel_y = self.wheel_x_m, self.wheel_y_m
+        spec.wheel_half_width, spec.wheel_radius = self.wheel_half_width_m, self.wheel_radius_m
+        spec.chassis_x, spec.chassis_y = self.chassis_half_m
+        spec.hull_radius = self.hull_radius_m
+        spec.friction = settings.friction
+        spec.separation = 2 * self.wheel_y_m * settings.separation_multiplier
+        spec.max_v, spec.max_w = settings.max_v_mps, settings.max_w_radps
+        spec.max_accel, spec.max_alpha = settings.max_accel_mps2, settings.max_alpha_radps2
+        spec.timeout_ms = round(1000 * settings.command_timeout_s)
+        spec.ideal = int(settings.drive == "ideal")
+        spec.odom_gain_v, spec.odom_gain_w = settings.odom_gain_v, settings.odom_gain_w
+        spec.odom_noise_w = settings.odom_noise_w_radps
+        spec.odom_noise_yaw = settings.odom_noise_yaw_rad
+        return spec
+
+
+@dataclass(frozen=True)
+class RobotSettings:
+    """How the robot drives: "tyres" slide as in Gazebo, "ideal" follows its limited command exactly.
+
+    name: a RobotModel of sim/robots.py. The other defaults are those of Clearpath's Jackal.
+    """
+
+    name: str = "jackal"
     drive: str = "tyres"
     friction: float = 0.5  # mu1 = mu2 of the wheels in the URDF
     max_v_mps: float = 2.0  # limits of diff_drive_controller, jackal_control/config/control.yaml
@@ -58,27 +100,10 @@ class RobotSettings:
         _require("robot.odom_noise_w_radps", self.odom_noise_w_radps, 0.0, 1.0)
         _require("robot.odom_noise_yaw_rad", self.odom_noise_yaw_rad, 0.0, 0.5)
 
-    def native(self) -> VehicleSpec:
-        """The same as the C core's struct."""
-        spec = VehicleSpec()
-        spec.mass, spec.inertia_z = MASS_KG, INERTIA_Z
-        spec.com_x, spec.com_y, spec.com_z = COM_M
-        spec.wheel_x, spec.wheel_y, spec.wheel_half_width = 0.131, TRACK_M / 2, 0.020
-        spec.friction = self.friction
-        spec.separation = TRACK_M * self.separation_multiplier
-        spec.max_v, spec.max_w = self.max_v_mps, self.max_w_radps
-        spec.max_accel, spec.max_alpha = self.max_accel_mps2, self.max_alpha_radps2
-        spec.timeout_ms = round(1000 * self.command_timeout_s)
-        spec.ideal = int(self.drive == "ideal")
-        spec.odom_gain_v, spec.odom_gain_w = self.odom_gain_v, self.odom_gain_w
-        spec.odom_noise_w = self.odom_noise_w_radps
-        spec.odom_noise_yaw = self.odom_noise_yaw_rad
-        return spec
-
 
 @dataclass(frozen=True)
 class LidarSettings:
-    """The Hokuyo UST-10LX as Gazebo simulates it; 0.305 m above the ground, level, looking ahead."""
+    """The Jackal's Hokuyo UST-10LX as Gazebo simulates it; 0.305 m above the ground, level, looking ahead."""
 
     beams: int = LIDAR_BEAMS
     angle_min_rad: float = -2.35619

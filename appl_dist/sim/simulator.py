@@ -1,4 +1,4 @@
-"""One Jackal in one BARN world: command in; pose, odometry, scan and contact out.
+"""One robot in one BARN world: command in; pose, odometry, scan and contact out.
 
 Free motion is csrc/tyres.c in steps of 1 ms. Where the robot could touch something within the next 2 ms, pybullet
 steps along with it: contacts found there change pose and velocity, and the tyre model goes on from them. Anywhere
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from appl_dist._native import CONTACT_MS, Lidar, Robot
 from appl_dist.sim.bullet import BulletBody, Pose
-from appl_dist.sim.robot import WHEEL_RADIUS_M, LidarSettings, RobotSettings
+from appl_dist.sim.robot import LidarSettings, RobotSettings
+from appl_dist.sim.robots import ROBOTS
 from appl_dist.sim.worlds import Floats, World
 
 ROLLED_OVER_RAD = 1.0
@@ -49,10 +50,12 @@ class Simulator:
 
     def __init__(self, robot: RobotSettings = RobotSettings(), lidar: LidarSettings = LidarSettings()) -> None:  # noqa: B008
         self.robot, self.lidar = robot, lidar
-        self._robot = Robot(robot.native())
+        model = ROBOTS.get(robot.name)
+        vehicle = model.vehicle(robot)
+        self._robot = Robot(vehicle)
         self._caster = lidar.native()
-        self._half_separation = 0.5 * robot.native().separation
-        self._body = None if robot.drive == "ideal" else BulletBody()
+        self._half_separation, self._wheel_radius_m = 0.5 * vehicle.separation, model.wheel_radius_m
+        self._body = None if robot.drive == "ideal" else BulletBody(model)
         self._cylinders = np.empty((0, 3))
         self._seed = 0
         self._ready = False
@@ -135,7 +138,7 @@ class Simulator:
     def _wheel_rates(self) -> tuple[float, float]:
         v, w = self._robot.wheels
         turn = w * self._half_separation
-        return (v - turn) / WHEEL_RADIUS_M, (v + turn) / WHEEL_RADIUS_M
+        return (v - turn) / self._wheel_radius_m, (v + turn) / self._wheel_radius_m
 
     def scan(self) -> NDArray[np.float32]:
         """(720,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""

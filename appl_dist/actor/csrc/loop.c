@@ -97,7 +97,7 @@ static void give_scan(navigation_loop *l, int64_t now_ms) {
     const double from[3] = {s.pose[0] + l->lidar_x * cosine, s.pose[1] + l->lidar_x * sine, yaw};
     lidar_cast(l->sensor, from, body->cylinders, body->count, body->state.seed, (uint64_t)s.time_ms, l->ranges);
     spent(l, STAGE_LIDAR, start);
-    navigator_add_scan(l->planner, l->ranges, s.pose_odom);
+    l->planner.add_scan(l->planner.self, l->ranges, s.pose_odom);
 }
 
 static int64_t delay_ms(const navigation_loop *l, double work_ms) {
@@ -114,8 +114,8 @@ static int64_t next_work_ms(const navigation_loop *l) {
 static void run_control(navigation_loop *l, int64_t now_ms) {
     const double start = clock_s();
     double out[2];
-    navigator_control(l->planner, l->estimate.pose_odom, l->estimate.twist, (double)now_ms / 1000.0, out);
-    const double steps = (double)l->planner->local_plan.rollouts.rollout_steps;
+    l->planner.control(l->planner.self, l->estimate.pose_odom, l->estimate.twist, (double)now_ms / 1000.0, out);
+    const double steps = (double)l->planner.control_steps(l->planner.self);
     const double work_ms = l->timing.control_base_ms + l->timing.control_us_per_step * steps / 1000.0;
     l->control_done_ms = now_ms + delay_ms(l, work_ms);
     l->flying[(l->flying_first + l->flying_count) % LOOP_QUEUE] =
@@ -127,14 +127,14 @@ static void run_control(navigation_loop *l, int64_t now_ms) {
 
 /* A map's cycle: the newest scan, then the map, unless whoever reads it holds it until later. */
 static void run_map(navigation_loop *l, int64_t now_ms, rate *cycle, int64_t held_until_ms, loop_stage stage,
-                    void (*update)(navigator *, const double *)) {
+                    void (*update)(void *, const double *)) {
     if (now_ms < held_until_ms) {
         rate_wait(cycle, held_until_ms);
         return;
     }
     give_scan(l, now_ms);
     const double start = clock_s();
-    update(l->planner, l->estimate.pose_odom);
+    update(l->planner.self, l->estimate.pose_odom);
     rate_finish(cycle, now_ms);
     spent(l, stage, start);
 }
@@ -143,10 +143,10 @@ static void run_map(navigation_loop *l, int64_t now_ms, rate *cycle, int64_t hel
 static void compute(navigation_loop *l, int64_t now_ms) {
     take(&l->estimates, now_ms, &l->estimate);
     if (now_ms == l->local.due) {
-        run_map(l, now_ms, &l->local, l->control_done_ms, STAGE_LOCAL_MAP, navigator_update_local);
+        run_map(l, now_ms, &l->local, l->control_done_ms, STAGE_LOCAL_MAP, l->planner.update_local);
     } else if (now_ms == l->global.due) {
         const int64_t held_until_ms = l->planning ? l->plan_done_ms : 0;
-        run_map(l, now_ms, &l->global, held_until_ms, STAGE_GLOBAL_MAP, navigator_update_global);
+        run_map(l, now_ms, &l->global, held_until_ms, STAGE_GLOBAL_MAP, l->planner.update_global);
     } else if (!l->planning && now_ms == l->plan.due) {
         /* The map is held while planning, so computing at the end from the pose at the start is the same. */
         memcpy(l->planning_from, l->estimate.pose_odom, sizeof l->planning_from);
@@ -154,7 +154,7 @@ static void compute(navigation_loop *l, int64_t now_ms) {
         l->plan_done_ms = now_ms + delay_ms(l, l->timing.plan_ms);
     } else if (l->planning && now_ms == l->plan_done_ms) {
         const double start = clock_s();
-        navigator_plan(l->planner, l->planning_from, NAN);
+        l->planner.plan(l->planner.self, l->planning_from, NAN);
         l->planning = 0;
         rate_finish(&l->plan, now_ms);
         spent(l, STAGE_PLAN, start);
@@ -204,6 +204,7 @@ loop_pause loop_run(navigation_loop *l, int64_t end_ms) {
             if (l->watched) return LOOP_SAMPLED;
         } else if (work_ms < end_ms) {
             compute(l, work_ms);
+            if (l->planner.failed && l->planner.failed(l->planner.self)) return LOOP_FAILED;
             l->work_due_ms = next_work_ms(l);
         } else {
             if (!drive_until(l, end_ms)) return LOOP_CONTACT;

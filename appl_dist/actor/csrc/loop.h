@@ -1,10 +1,10 @@
 /* The closed loop of robot and planner: one clock, the events of actor/timing.py, nothing computed that nobody reads.
- * The robot lives in the world frame, the navigator in the odometry frame: origin at the start, axes parallel. */
+ * The robot lives in the world frame, the planner in the odometry frame: origin at the start, axes parallel. */
 #ifndef APPL_ACTOR_LOOP_H
 #define APPL_ACTOR_LOOP_H
 
 #include "lidar.h"
-#include "navigator.h"
+#include "planner_interface.h"
 #include "robot.h"
 #include "trial.h"
 
@@ -51,6 +51,7 @@ typedef enum {
     LOOP_CONTACT, /* the robot may touch something: resolve one step, then go on */
     LOOP_SAMPLED, /* the lidar has fired, and `watched` is set */
     LOOP_BROKEN,  /* the robot's pose is no number any more */
+    LOOP_FAILED,  /* the planner cannot go on */
 } loop_pause;
 
 typedef enum {
@@ -67,7 +68,7 @@ typedef struct {
     robot *body;
     const lidar *sensor;
     double lidar_x; /* m, mount in base_link */
-    navigator *planner;
+    planner_interface planner;
     loop_timing timing;
     trial test;
     float *ranges; /* (beams,) */
@@ -92,7 +93,7 @@ typedef struct {
     int local_map_ms, global_map_ms, plan_ms, control_ms, filter_ms;
 } loop_phases;
 
-/* Begins at time 0. The robot, the navigator and the trial have been reset. */
+/* Begins at time 0. The robot, the planner and the trial have been reset. */
 void loop_reset(navigation_loop *l, const double origin[2], const loop_phases *phases);
 /* Runs until `end_ms`, or until something needs the caller. */
 loop_pause loop_run(navigation_loop *l, int64_t end_ms);

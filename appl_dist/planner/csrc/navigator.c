@@ -270,3 +270,30 @@ double navigator_bearing(const navigator *n, const double pose[3], double lookah
     const double dx = p[2 * i] - pose[0], dy = p[2 * i + 1] - pose[1];
     return dx == 0 && dy == 0 ? 0 : shortest_angle(pose[2], atan2(dy, dx));
 }
+
+static void add_scan(void *self, const float *ranges, const double pose[3]) { navigator_add_scan(self, ranges, pose); }
+
+static void update_local(void *self, const double pose[3]) { navigator_update_local(self, pose); }
+
+static void update_global(void *self, const double pose[3]) { navigator_update_global(self, pose); }
+
+static bool plan(void *self, const double pose[3], double now) { return navigator_plan(self, pose, now); }
+
+static void control(void *self, const double pose[3], const double twist[2], double now, double out[2]) {
+    navigator_control(self, pose, twist, now, out);
+}
+
+static long control_steps(const void *self) { return ((const navigator *)self)->local_plan.rollouts.rollout_steps; }
+
+planner_interface navigator_interface(navigator *n) {
+    return (planner_interface){
+        .self = n,
+        .beams = (int)n->set.beams,
+        .add_scan = add_scan,
+        .update_local = update_local,
+        .update_global = update_global,
+        .plan = plan,
+        .control = control,
+        .control_steps = control_steps,
+    };
+}

@@ -6,6 +6,7 @@
 #include "costmap.h"
 #include "local_planner.h"
 #include "navfn.h"
+#include "planner_interface.h"
 
 typedef enum {
     NAVIGATOR_IDLE,         // no goal yet
@@ -69,3 +70,4 @@ void navigator_cycle(navigator *n, const float *ranges, const double pose[3], co
                      double out[2]);
 // Direction of the plan's point `lookahead` m of arc beyond the one nearest the robot; 0 without a plan.
 double navigator_bearing(const navigator *n, const double pose[3], double lookahead);
+planner_interface navigator_interface(navigator *n);

@@ -1,16 +1,15 @@
-/* Plan-view geometry of the Jackal and of upright cylinders. Metres, radians; the caller owns all memory. */
+/* Plan-view geometry of a robot and of upright cylinders. Metres, radians; the caller owns all memory. */
 #ifndef APPL_SIM_GEOMETRY_H
 #define APPL_SIM_GEOMETRY_H
 
 #include <stddef.h>
 #include <stdint.h>
 
-/* Circumscribed radius of the collision hull around base_link: chassis box and four wheels. */
-#define HULL_RADIUS_M 0.3093
+#include "tyres.h"
 
-/* Signed distance from the hull at `pose` (x, y, yaw) to the surface of the nearest cylinder, negative inside;
- * cylinders are (n, 3) x, y, radius. Anything farther than `limit` is reported as `limit`. */
-double hull_clearance(const double pose[3], const double *cylinders, size_t n, double limit);
+/* Signed distance from the hull (chassis box and four wheels) at `pose` (x, y, yaw) to the surface of the nearest
+ * cylinder, negative inside; cylinders are (n, 3) x, y, radius. Anything farther than `limit` is reported as `limit`. */
+double hull_clearance(const vehicle_spec *spec, const double pose[3], const double *cylinders, size_t n, double limit);
 
 /* splitmix64's output function (Steele, Lea, Flood 2014). */
 static inline uint64_t counter_mix(uint64_t z) {

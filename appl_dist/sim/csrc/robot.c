@@ -18,11 +18,11 @@ void robot_reset(robot *r, const double pose[3], uint64_t seed) {
 
 double robot_clearance(const robot *r, double limit) {
     const double pose[3] = {r->state.x, r->state.y, r->state.yaw};
-    return hull_clearance(pose, r->cylinders, r->count, limit);
+    return hull_clearance(&r->spec, pose, r->cylinders, r->count, limit);
 }
 
 static int is_free(const robot *r, int ms) {
-    const double speed = sqrt(r->state.vx * r->state.vx + r->state.vy * r->state.vy) + fabs(r->state.w) * HULL_RADIUS_M;
+    const double speed = sqrt(r->state.vx * r->state.vx + r->state.vy * r->state.vy) + fabs(r->state.w) * r->spec.hull_radius;
     /* Tyres give at most sqrt(2) mu g of acceleration; 15 m/s^2 bounds that with the hull's swing. */
     const double time = 1e-3 * ms, reach = (speed + 0.5 * 15.0 * time) * time + NEAR_M;
     return robot_clearance(r, reach) >= reach;

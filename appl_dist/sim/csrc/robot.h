@@ -1,4 +1,4 @@
-/* A Jackal among cylinders. It drives freely here where nothing can be touched; where something can, motion stops and
+/* A robot among cylinders. It drives freely here where nothing can be touched; where something can, motion stops and
  * whoever resolves contacts takes one step (predict, resolve, correct). */
 #ifndef APPL_SIM_ROBOT_H
 #define APPL_SIM_ROBOT_H

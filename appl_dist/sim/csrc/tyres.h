@@ -1,4 +1,4 @@
-/* Planar dynamics of a skid-steered Jackal whose tyres slide with Coulomb friction, as Gazebo's ODE computes it. */
+/* Planar dynamics of a skid-steered robot whose tyres slide with Coulomb friction, as Gazebo's ODE computes it. */
 #ifndef APPL_SIM_TYRES_H
 #define APPL_SIM_TYRES_H
 
@@ -11,7 +11,9 @@ typedef struct {
     double mass, inertia_z;       /* kg, kg m^2 about the centre of mass */
     double com_x, com_y, com_z;   /* of the whole robot, x y in base_link, z above ground */
     double wheel_x, wheel_y;      /* half wheelbase, half track */
-    double wheel_half_width;
+    double wheel_half_width, wheel_radius;
+    double chassis_x, chassis_y;  /* half length and half width of the collision box */
+    double hull_radius;           /* no point of chassis and wheels is farther from base_link */
     double friction;              /* per world axis: a pyramid, not a cone */
     double separation;            /* effective track of the wheel command, track * 1.5 */
     double max_v, max_w;          /* command limits of diff_drive_controller */

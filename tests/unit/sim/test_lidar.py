@@ -10,6 +10,7 @@ import pytest
 from appl_dist.sim.bullet import BulletBody
 from appl_dist.sim.generate import generate_world
 from appl_dist.sim.robot import LidarSettings
+from appl_dist.sim.robots import JACKAL
 from appl_dist.sim.simulator import Simulator
 from tests.unit.sim.courses import course
 
@@ -19,7 +20,7 @@ QUIET = LidarSettings(noise_m=0.0)
 def bullet_scan(cylinders: np.ndarray, pose: np.ndarray, lidar: LidarSettings) -> np.ndarray:
     angles = pose[2] + np.linspace(lidar.angle_min_rad, lidar.angle_max_rad, lidar.beams)
     x, y = pose[0] + lidar.mount_x_m * math.cos(pose[2]), pose[1] + lidar.mount_x_m * math.sin(pose[2])
-    body = BulletBody()
+    body = BulletBody(JACKAL)
     body.rebuild(cylinders, (500.0, 500.0, 0.0))  # the robot stands out of the way
     try:
         starts = [[x, y, 0.305]] * lidar.beams

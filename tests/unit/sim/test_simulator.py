@@ -14,6 +14,7 @@ import pytest
 from appl_dist._native import Robot
 from appl_dist.sim.generate import generate_world, generate_worlds
 from appl_dist.sim.robot import RobotSettings
+from appl_dist.sim.robots import JACKAL
 from appl_dist.sim.simulator import Simulator
 from appl_dist.sim.worlds import World
 from tests.shared_data import shared
@@ -68,7 +69,7 @@ def test_two_simulators_side_by_side_do_not_meet() -> None:
 
 def test_free_motion_is_the_tyre_model_alone() -> None:
     """pybullet is carried along and adds nothing, however the time is cut."""
-    vehicle = Robot(RobotSettings().native())
+    vehicle = Robot(JACKAL.vehicle(RobotSettings()))
     vehicle.reset(np.zeros(3), 3, np.empty((0, 3)))
     with Simulator() as simulator:
         simulator.reset(EMPTY, 3, np.zeros(3))

@@ -10,6 +10,7 @@ import pytest
 
 from appl_dist._native import Robot
 from appl_dist.sim.robot import RobotSettings
+from appl_dist.sim.robots import JACKAL
 from tests.shared_data import shared
 
 NOTHING = np.empty((0, 3))
@@ -18,7 +19,7 @@ NOTHING = np.empty((0, 3))
 def drive(v: float, w: float, ms: int, heading: float = 0.0, vehicle: Robot | None = None) -> Robot:
     """A vehicle after `ms` of a command, from rest unless one is given."""
     if vehicle is None:
-        vehicle = Robot(RobotSettings().native())
+        vehicle = Robot(JACKAL.vehicle(RobotSettings()))
         vehicle.reset(np.array([0.0, 0.0, heading]), 0, NOTHING)
     for _ in range(ms):
         vehicle.command(v, w, 0)
@@ -87,7 +88,7 @@ def test_turning_in_place_is_faster_along_the_axes() -> None:
 
 def test_a_mirrored_command_gives_a_mirrored_motion() -> None:
     """Exactly so with the centre of mass on the axis; the contacts are solved one after another, hence not to bits."""
-    spec = RobotSettings().native()
+    spec = JACKAL.vehicle(RobotSettings())
     spec.com_y = 0.0
     ends = []
     for sign in (1.0, -1.0):
@@ -120,7 +121,7 @@ def test_an_old_command_stops_the_wheels() -> None:
 
 
 def test_without_friction_the_robot_stays() -> None:
-    vehicle = Robot(RobotSettings(friction=0.0).native())
+    vehicle = Robot(JACKAL.vehicle(RobotSettings(friction=0.0)))
     vehicle.reset(np.zeros(3), 0, NOTHING)
     assert drive(2.0, 1.0, 500, vehicle=vehicle).pose == (0.0, 0.0, 0.0)
 
