@@ -44,7 +44,7 @@ compilers: venv
 	$(BIN)/python tools/compilers.py
 
 # The C core under AddressSanitizer and UndefinedBehaviorSanitizer, in a build folder and an import path of its own.
-ASAN_TESTS ?= tests/unit/planner tests/unit/sim tests/property tests/conformance
+ASAN_TESTS ?= tests/unit/planner tests/unit/sim tests/unit/policy/test_network.py tests/property tests/conformance
 ASAN_PYTEST = cd build-asan/tree && ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
 	LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
 	PYTHONPATH=$(abspath build-asan/tree) $(abspath $(BIN)/python) -P -m pytest -p no:cacheprovider

@@ -12,6 +12,7 @@ extern "C" {
 #include "geometry.h"
 #include "lidar.h"
 #include "robot.h"
+#include "trig.h"
 }
 
 namespace nb = nanobind;
@@ -116,6 +117,11 @@ long first_crossing(const appl::Array &blocked, const appl::Array &region) {
 }  // namespace
 
 void bind_sim(nb::module_ &m) {
+    m.def("sine_cosine", [](double angle_rad) {
+        double sine, cosine;
+        trig_sincos(angle_rad, &sine, &cosine);
+        return std::make_tuple(sine, cosine);
+    }, nb::arg("angle_rad"), "(sine, cosine) of an angle up to 1e5 rad, the same bits on every machine; see trig.h.");
     nb::class_<vehicle_spec>(m, "VehicleSpec", "Figures of a vehicle, see tyres.h; zero until set.")
         .def("__init__", [](vehicle_spec *self) { new (self) vehicle_spec{}; })
         .def_rw("mass", &vehicle_spec::mass)

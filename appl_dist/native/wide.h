@@ -2,9 +2,10 @@
 // products are not fused, so every width yields the same bits.
 #pragma once
 
-// clang wants the attribute on every declaration, and sanitizers want one version: they get the plain functions.
+// clang wants the attribute on every declaration, and sanitizers want one version: they get the plain functions, and so
+// does a test that defines ONE_WIDTH to compile for one processor.
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && \
-    !defined(__SANITIZE_ADDRESS__)
+    !defined(__SANITIZE_ADDRESS__) && !defined(ONE_WIDTH)
 #if __GNUC__ >= 12
 #define WIDE __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else

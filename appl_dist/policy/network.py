@@ -1,12 +1,14 @@
-"""The policy network in numpy: observation in, action in [-1, 1] out.
+"""The policy network: observation in, action in [-1, 1] out, the same bits on every machine.
 
-An actor imports no torch: the papers' 512-512-512 network is four matrix-vector products, about 0.1 ms on one core.
+An actor imports no torch: the papers' 512-512-512 network is four matrix-vector products in C (`csrc/network.h`), about
+0.1 ms on one core. BLAS is no choice here: it picks its kernels, and with them the order of sums, by processor.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from appl_dist._native import Network
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import FloatArray
 
@@ -21,21 +23,16 @@ class MLPPolicy:
         if not file.weights:
             raise ValueError("policy file: holds fixed values, not an MLP")
         self.file = file
-        self._weights = [np.ascontiguousarray(w) for w in file.weights]
-        self._activations = [np.empty(len(b), np.float32) for b in file.biases]
+        self._network = Network()
+        for w, b in zip(file.weights, file.biases, strict=True):
+            self._network.add(np.ascontiguousarray(w), np.ascontiguousarray(b))
 
     def act(self, observation: FloatArray) -> FloatArray:
+        """(n,) float32 for an observation (size,) float32; ValueError for another shape or type."""
         size = self.file.observation.size
         if observation.shape != (size,) or observation.dtype != np.float32:
             got = f"{observation.dtype}{observation.shape}"
             raise ValueError(f"observation: got {got}; expected float32({size},)")
-        x = observation
-        last = len(self._weights) - 1
-        for i, (w, b, out) in enumerate(zip(self._weights, self.file.biases, self._activations, strict=True)):
-            np.dot(w, x, out=out)
-            out += b
-            if i < last:
-                np.maximum(out, 0.0, out=out)
-            x = out
-        action: FloatArray = np.tanh(x)
+        action = np.empty(len(self.file.space), np.float32)
+        self._network.act(np.ascontiguousarray(observation), action)
         return action

@@ -15,6 +15,7 @@ import os
 from types import ModuleType
 from typing import NamedTuple
 
+from appl_dist._native import sine_cosine
 from appl_dist.sim.robot import RobotModel
 from appl_dist.sim.worlds import Floats
 
@@ -137,12 +138,12 @@ class BulletBody:
 
     def _place(self, pose: Pose) -> None:
         x, y, yaw = pose
-        c, s = math.cos(yaw), math.sin(yaw)
+        s, c = sine_cosine(yaw)
         cx, cy, _ = self._com
         p.resetBasePositionAndOrientation(
             self._robot,
             (x + c * cx - s * cy, y + s * cx + c * cy, self._height),
-            (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)),
+            (0.0, 0.0, *sine_cosine(0.5 * yaw)),
             physicsClientId=self._client,
         )
 
@@ -177,7 +178,7 @@ class BulletBody:
         return Motion(bx - rx, by - ry, yaw, ax - ux + dw * ry, ay - uy - dw * rx, dw)
 
     def _com_offset(self, yaw: float) -> tuple[float, float]:
-        c, s = math.cos(yaw), math.sin(yaw)
+        s, c = sine_cosine(yaw)
         return c * self._com[0] - s * self._com[1], s * self._com[0] + c * self._com[1]
 
     def _push(self, pose: Pose, velocity: Pose, wheels: tuple[float, float], dt_s: float) -> tuple[float, float]:

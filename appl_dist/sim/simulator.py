@@ -15,7 +15,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist._native import CONTACT_MS, Lidar, Robot
+from appl_dist._native import CONTACT_MS, Lidar, Robot, sine_cosine
 from appl_dist.sim.bullet import BulletBody, Pose
 from appl_dist.sim.robot import LidarSettings, RobotSettings
 from appl_dist.sim.robots import ROBOTS
@@ -148,7 +148,8 @@ class Simulator:
         """The scan of a moment gone by, from the true pose then: a scan that nobody reads need not be cast."""
         x, y, yaw = pose
         mount = self.lidar.mount_x_m
-        lidar = np.array((x + mount * math.cos(yaw), y + mount * math.sin(yaw), yaw))
+        sine, cosine = sine_cosine(yaw)
+        lidar = np.array((x + mount * cosine, y + mount * sine, yaw))
         ranges = np.empty(self.lidar.beams, np.float32)
         self._caster.cast(lidar, self._cylinders, self._seed, time_ms, ranges)
         return ranges
