@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 BARN ?= $(wildcard ../shared/barn)
 NATIVE := $(shell find appl_dist -name '*.c' -o -name '*.cpp' -o -name '*.h') appl_dist/native/CMakeLists.txt
 ARGS ?=
+# Where torch is looked for first: PyTorch's index of CPU builds, as the default index's torch brings several GB of CUDA.
+# With an NVIDIA GPU, or `make TORCH_INDEX=`, the default index alone.
+TORCH_INDEX ?= $(if $(shell nvidia-smi -L 2>/dev/null),,https://download.pytorch.org/whl/cpu)
 
 .PHONY: train test lint bench compilers asan-tree asan fuzz clean venv
 
@@ -12,6 +15,9 @@ venv: $(VENV)/.installed
 
 $(VENV)/.requirements: requirements.lock
 	$(PYTHON) -m venv $(VENV)
+	[ -z "$(TORCH_INDEX)" ] || $(BIN)/pip install --quiet --disable-pip-version-check --no-deps --retries 1 \
+		--timeout 15 --index-url "$(TORCH_INDEX)" "$$(grep ^torch== requirements.lock)" || \
+		echo "torch: not to be had from TORCH_INDEX=$(TORCH_INDEX); taking the default index's"
 	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.lock
 	touch $@
 
