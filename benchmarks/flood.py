@@ -1,4 +1,4 @@
-"""What a flood from one connection costs an honest actor: its ack latency, and what came of the flood.
+"""Ack latency of an honest actor while one connection floods the learner, and what happened to the flood.
 
     python benchmarks/flood.py                  # every kind, 6 s each
     python benchmarks/flood.py uploads names    # some
@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 import psutil
 import zenoh
-from wire import RUN, Discard, ask, encode_rollout, endpoint, episode
+from wire_throughput import RUN, Discard, ask, endpoint, episode
 
 from appl_dist.wire import key_expressions as keys
+from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlServer, fetch_status
 from appl_dist.wire.liveness import Roster
 from appl_dist.wire.session import open_session
