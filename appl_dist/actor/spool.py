@@ -31,11 +31,30 @@ from appl_dist.wire.receipt import Receipt
 log = logging.getLogger(__name__)
 
 _SUFFIX = ".rollout"
+_COUNTER = "spool.json"
+_PASSING = "passing"  # noted in the lock file
 _CRC = struct.Struct("<I")
 
 
 class SpoolInUse(UserError):
-    """A running process has the folder."""
+    """A running process has the folder. passing: only to send what is in it, so it will be free soon."""
+
+    def __init__(self, message: str, passing: bool = False) -> None:
+        super().__init__(message)
+        self.passing = passing
+
+
+def has_rollouts(folder: Path) -> bool:
+    """Whether unacknowledged rollouts lie in a spool folder."""
+    return any(folder.glob(f"*{_SUFFIX}"))
+
+
+def owner_of(folder: Path) -> str:
+    """The owner of a spool folder, "RUN/ACTOR". UserError: not a spool folder, or damaged."""
+    try:
+        return str(json.loads((folder / _COUNTER).read_bytes())["owner"])
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise UserError(f"{folder}: not a spool folder ({error})") from None
 
 
 class Spool:
@@ -43,6 +62,7 @@ class Spool:
 
     owner: whose rollouts these are, such as "RUN/ACTOR"; a folder of another owner is refused.
     receipt: what the log notes of a blob. sync: what is put is on the disk before it can be sent.
+    passing: the folder is opened for a moment, to send what another process left in it.
     UserError: folder taken by a running process (SpoolInUse), of another owner, not writable or out of space.
     """
 
@@ -54,6 +74,7 @@ class Spool:
         max_bytes: int = 256 << 20,
         receipt: Callable[[bytes], Receipt] = receipts.of_blob,
         sync: bool = False,
+        passing: bool = False,
     ) -> None:
         if max_count < 1 or max_bytes < 1:
             raise ValueError(f"max_count, max_bytes: got {max_count}, {max_bytes}; allowed 1 and up")
@@ -69,7 +90,7 @@ class Spool:
         self._reason = ""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock_file = _lock(self.folder)
+            self._lock_file = _lock(self.folder, _PASSING if passing else "")
         except OSError as error:
             raise self._cannot_write(error) from error
         try:
@@ -258,7 +279,7 @@ class Spool:
         return sizes, pending
 
     def _read_counter(self) -> int:
-        path = self.folder / "spool.json"
+        path = self.folder / _COUNTER
         if not path.exists():
             self._next = 0
             self._write_counter()
@@ -274,7 +295,7 @@ class Spool:
 
     def _write_counter(self) -> None:
         values = {"owner": self.owner, "next_seq": self._next}
-        self._write(self.folder / "spool.json", json.dumps(values).encode())
+        self._write(self.folder / _COUNTER, json.dumps(values).encode())
 
     def _write(self, path: Path, data: bytes) -> None:
         write_atomic(path, data, sync=self._sync)
@@ -283,16 +304,20 @@ class Spool:
         return UserError(f"spool {self.folder}: cannot be written: {explain(error)}")
 
 
-def _lock(folder: Path) -> int:
-    """A descriptor holding the folder's lock; the kernel drops it with the process, however that ends."""
+def _lock(folder: Path, note: str) -> int:
+    """A descriptor holding the folder's lock; the kernel drops it with the process, however that ends.
+
+    note: what others read in the lock file, beside the process.
+    """
     descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    holder = printable(os.pread(descriptor, 32, 0).decode(errors="replace").strip()) or "unknown"
+    holder, _, noted = printable(os.pread(descriptor, 64, 0).decode(errors="replace").strip()).partition(" ")
+    holder = holder or "unknown"
     held = f"spool {folder}: in use by process {holder}; two actors cannot share a folder, give each its own id"
     try:
         lock(descriptor, folder / "lock", held)
     except UserError as error:
         os.close(descriptor)
-        raise (SpoolInUse if str(error) == held else UserError)(str(error)) from None
+        raise (SpoolInUse(held, noted == _PASSING) if str(error) == held else error) from None
     os.truncate(descriptor, 0)
-    os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+    os.pwrite(descriptor, f"{os.getpid()} {note}\n".encode(), 0)
     return descriptor

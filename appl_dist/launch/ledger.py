@@ -6,7 +6,6 @@ Rollouts still in replay are recognised by a digest of their bytes; those that t
 
 from __future__ import annotations
 
-import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from appl_dist.actor.produced_log import FILE, Produced, read_produced
+from appl_dist.actor.spool import owner_of
 from appl_dist.arguments import ArgumentParser
 from appl_dist.errors import UserError
 from appl_dist.learner.replay import Replay
@@ -70,7 +70,7 @@ def audit(replay: Replay, spools: Iterable[Path]) -> Ledger:
     logs: dict[str, list[Produced]] = defaultdict(list)
     pending: dict[str, set[str]] = defaultdict(set)  # digests
     for folder in spools:
-        actor = _actor_of(folder)
+        actor = owner_of(folder).rsplit("/", 1)[-1]
         entries = read_produced(folder / FILE)
         files = {int(path.stem) for path in folder.glob("*.rollout")}
         logs[actor] += entries
@@ -104,13 +104,6 @@ def _account(log: list[Produced], pending: set[str], held: list[tuple[int, recei
             copies[found.digest] -= 1
             account.duplicate += found.transitions
     return account
-
-
-def _actor_of(folder: Path) -> str:
-    try:
-        return str(json.loads((folder / "spool.json").read_text("utf-8"))["owner"]).rsplit("/", 1)[-1]
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise UserError(f"{folder}: not a spool folder ({error})") from None
 
 
 def run_ledger(folder: Path, elsewhere: Iterable[Path] = ()) -> Ledger:

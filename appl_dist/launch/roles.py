@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING
 from appl_dist import seeds
 from appl_dist.actor.collect import Explorer, act
 from appl_dist.actor.env import NavigationEnv
-from appl_dist.actor.spool import Spool, SpoolInUse
+from appl_dist.actor.orphans import HELD_S, OrphanSender
+from appl_dist.actor.spool import Spool, SpoolInUse, has_rollouts
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import PassingFault, UserError
 from appl_dist.files import explain
@@ -132,7 +133,7 @@ def actor(settings: Settings) -> int:
 
     die_with_parent()
     settings = replace(settings, wire=with_keys_of(settings.actor.run, settings.wire))
-    own, identity = _who(settings)
+    own, (identity, may_be) = settings.actor, _who(settings)
     wire = settings.wire
     if own.run:
         where = whereabouts(Path(own.run))
@@ -153,27 +154,35 @@ def actor(settings: Settings) -> int:
             drive_trials(session, run_id, served, own.id or f"{identity}-{os.getpid()}", stop.is_set)
             return 0
         frozen = from_dict(served)
-        with open_spool(own, frozen.actor, run_id, identity, frozen.run.sync) as spool:
+        with (
+            open_spool(own, frozen.actor, run_id, identity, frozen.run.sync) as spool,
+            OrphanSender(session, run_id, spool_root(own, run_id), may_be, frozen.run.sync),
+        ):
             act_in_run(frozen, session, run_id, spool, stop.is_set)
     return 0
 
 
-def _who(settings: Settings) -> tuple[ActorSettings, str]:
-    """(this actor, the name that its id begins with). UserError: the credentials do not cover the id.
+def _who(settings: Settings) -> tuple[str, Callable[[str], bool]]:
+    """(the name that this actor's id begins with, which ids its credentials cover). UserError: not its own id.
 
     Spools that do not lie in the run's folder belong to this host and working folder, and so do the names of their
     actors.
     """
     wire, own = settings.wire, settings.actor
-    name = ACTOR
+    name, may_be = ACTOR, lambda actor_id: True
     if not wire.is_open:
         identity = find(wire.keys, wire.identity or own.id)
-        name = identity.name
-        if own.id and not identity.covers(own.id):
+        name, may_be = identity.name, identity.covers
+        if own.id and not may_be(own.id):
             raise UserError(f"actor.id: {own.id} is not covered by identity {name}; expected {name}-…")
     if not own.run:
         name = f"{name}-{socket.gethostname()[:30]}-{zlib.crc32(os.getcwd().encode()):08x}"
-    return own, name
+    return name, may_be
+
+
+def spool_root(own: ActorSettings, run_id: str) -> Path:
+    """The folder of a run's spools, as the actor that `own` describes sees it."""
+    return Path(own.run) / "spool" if own.run else Path("spool") / run_id
 
 
 def open_spool(
@@ -184,17 +193,29 @@ def open_spool(
     sync: see `RunSettings`. Without an id it is the first of IDENTITY-0, IDENTITY-1, … that no live process has; one
     whose rollouts wait comes first, so that a dead actor's spool is sent by its successor.
     """
-    root = Path(own.run) / "spool" if own.run else Path("spool") / run_id
+    root = spool_root(own, run_id)
     if own.id:
-        return _spool(Path(own.spool or root / own.id), own.id, limits, run_id, sync)
+        return _own_spool(Path(own.spool or root / own.id), own.id, limits, run_id, sync)
     names = [f"{identity}-{i}" for i in range(MAX_ACTORS)]
-    waiting = {path.parent.name for path in root.glob(f"{identity}-*/*.rollout")}
+    waiting = {path.name for path in root.glob(f"{identity}-*") if has_rollouts(path)}
     for name in sorted(names, key=lambda n: n not in waiting):
         try:
             return _spool(root / name, name, limits, run_id, sync)
         except SpoolInUse:
             continue
     raise UserError(f"actor.id: all {MAX_ACTORS} names in {root} are in use; give this actor an id")
+
+
+def _own_spool(folder: Path, actor_id: str, limits: ActorSettings, run_id: str, sync: bool) -> Spool:
+    """The spool of this id, once another actor has sent what the last process of this id left in it."""
+    deadline = time.monotonic() + 2.0 * HELD_S
+    while True:
+        try:
+            return _spool(folder, actor_id, limits, run_id, sync)
+        except SpoolInUse as error:
+            if not error.passing or time.monotonic() > deadline:
+                raise
+        time.sleep(0.1)
 
 
 def _spool(folder: Path, actor_id: str, limits: ActorSettings, run_id: str, sync: bool) -> Spool:
@@ -239,7 +260,11 @@ def act_in_run(
             hold=lambda: between_episodes() or (uploader.held and len(spool) >= HELD_ROLLOUTS),
         )
         if not uploader.close(DRAIN_S):
-            log.warning("%d rollouts stay in %s; the next start of this actor sends them", len(spool), spool.folder)
+            log.warning(
+                "%d rollouts stay in %s; another actor of the run or the next start of this one sends them",
+                len(spool),
+                spool.folder,
+            )
         if patience.is_over():
             raise PassingFault(f"no learner of run {run_id} for {settings.actor.patience_min:g} minutes")
         return made
