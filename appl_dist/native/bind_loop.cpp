@@ -53,11 +53,13 @@ class Loop {
         ranges_.resize(l_->sensor->spec.beams);
         l_->ranges = ranges_.data();
         loop_timing &t = l_->timing;
+        // clang-format off
 #define READ(name) t.name = nb::cast<decltype(t.name)>(timing.attr(#name));
         READ(scan_period_ms) READ(scan_delay_ms) READ(odometry_delay_ms) READ(command_delay_ms)
         READ(local_map_period_ms) READ(global_map_period_ms) READ(plan_period_ms) READ(control_period_ms)
         READ(cpu_factor) READ(control_base_ms) READ(control_us_per_step) READ(plan_ms)
 #undef READ
+        // clang-format on
     }
 
     // Phases in ms: local map, global map, plan, control, odometry filter.
@@ -105,8 +107,8 @@ class Loop {
         return nb::cast(nb::ndarray<nb::numpy, double>(copy->data(), {rows, size_t(TRIAL_COLUMNS)}, owner));
     }
     nb::dict stages() const {
-        static const char *const names[STAGES] = {"physics", "lidar", "local map", "global map", "global plan",
-                                                  "local planner"};
+        static const char *const names[STAGES] = {"physics",    "lidar",       "local map",
+                                                  "global map", "global plan", "local planner"};
         nb::dict d;
         for (int i = 0; i < STAGES; ++i) d[names[i]] = std::make_pair(l_->seconds[i], l_->calls[i]);
         return d;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <memory>
 #include <string>
 #include <vector>
@@ -53,15 +54,16 @@ bool is_fast(nb::handle settings) {
 }
 
 planner_parameters parameters_of(const Array &values, const planner_settings &set) {
-    const double *v = checked<const double>(values, "values", {8});
-    const planner_parameters p = {v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]};
+    const double *v = checked<const double>(values, "values", {PLANNER_PARAMETERS});
+    planner_parameters p;
+    std::memcpy(&p, v, sizeof p);
     planner_limit bad;
     if (!navigator_check_parameters(&set, &p, &bad)) refuse(bad);
     return p;
 }
 
 class Planner {
-public:
+  public:
     Planner(const Planner &) = delete;
     Planner(nb::handle settings, const Array &parameters) {
         const planner_settings set = settings_of(settings);
@@ -148,7 +150,7 @@ public:
         const double *s = finite(start, "start", 2), *g = finite(goal, "goal", 2);
         navfn_restart(&n_->plan);
         n_->plan.whole = whole;
-        costmap_freed(&n_->global, s[0], s[1]);
+        costmap_mark_cleared(&n_->global, s[0], s[1]);
         navfn_plan(&n_->plan, &n_->global.frame, n_->global.master, s[0], s[1], g[0], g[1]);
         n_->plan.whole = false;
         const size_t count = static_cast<size_t>(n_->plan.plan_count);
@@ -159,7 +161,8 @@ public:
         const size_t n = plan.shape(0);
         if (n > static_cast<size_t>(n_->local_plan.plan.capacity))
             throw nb::value_error(("plan: got " + std::to_string(n) + " points; at most " +
-                                   std::to_string(n_->local_plan.plan.capacity) + " fit").c_str());
+                                   std::to_string(n_->local_plan.plan.capacity) + " fit")
+                                      .c_str());
         for (size_t i = 0; i < 2 * n; ++i)
             if (!(std::abs(p[i]) <= 1e4)) throw nb::value_error("plan: holds a coordinate that is not within 10 km");
         local_planner_set_plan(&n_->local_plan, p, static_cast<int>(n), end_yaw);
@@ -179,12 +182,10 @@ public:
         const bool ok = local_planner_command(&n_->local_plan, &n_->local.frame, n_->local.master, p, t, out.data());
         r.trace = nullptr;
         n_->valid = ok;
-        std::vector<double> flat;
-        for (int i = 0; i < report.count; ++i) {
-            const rollout_row &k = rows[static_cast<size_t>(i)];
-            flat.insert(flat.end(), {k.v, k.w, k.cost, k.path_cells, k.goal_cells, k.occ, k.num_steps, k.points});
-        }
-        return nb::make_tuple(ok, owned(std::move(out), {2}), owned(std::move(flat), {size_t(report.count), 8}));
+        const size_t count = static_cast<size_t>(report.count);
+        std::vector<double> flat(count * ROLLOUT_COLUMNS);
+        if (count > 0) std::memcpy(flat.data(), rows.data(), count * sizeof(rollout_row));
+        return nb::make_tuple(ok, owned(std::move(out), {2}), owned(std::move(flat), {count, ROLLOUT_COLUMNS}));
     }
     nb::object wavefronts() {
         rollout_planner &r = n_->local_plan.rollouts;
@@ -254,7 +255,7 @@ public:
     size_t bytes() const { return bytes_; }
     nb::capsule core() { return nb::capsule(&interface_, "planner"); }
 
-private:
+  private:
     struct Free {
         void operator()(char *p) const { std::free(p); }
     };

@@ -20,7 +20,11 @@ struct Layer {
 
 Layer packed(const float *weights, const float *biases, size_t inputs, size_t outputs) {
     const size_t panels = (outputs + NETWORK_PANEL - 1) / NETWORK_PANEL, width = panels * NETWORK_PANEL;
-    Layer l{inputs, outputs, panels, std::vector<float>(width * inputs), std::vector<float>(width),
+    Layer l{inputs,
+            outputs,
+            panels,
+            std::vector<float>(width * inputs),
+            std::vector<float>(width),
             std::vector<float>(width)};
     for (size_t o = 0; o < outputs; ++o) {
         float *panel = l.weights.data() + o / NETWORK_PANEL * NETWORK_PANEL * inputs + o % NETWORK_PANEL;

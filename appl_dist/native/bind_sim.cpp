@@ -110,18 +110,22 @@ long first_crossing(const appl::Array &blocked, const appl::Array &region) {
     if (rows > 127 || rows < 1 || cols < 1) throw nb::value_error("blocked: a grid has 1 to 127 rows");
     std::vector<int32_t> stack(rows * cols);
     for (size_t i = 0; i < blocked.shape(0); ++i)
-        if (field_crossing(grids + i * rows * cols, static_cast<int>(rows), static_cast<int>(cols), out, stack.data()))
+        if (grid_connectivity_crossing(grids + i * rows * cols, static_cast<int>(rows), static_cast<int>(cols), out,
+                                       stack.data()))
             return static_cast<long>(i);
     return -1;
 }
 }  // namespace
 
 void bind_sim(nb::module_ &m) {
-    m.def("sine_cosine", [](double angle_rad) {
-        double sine, cosine;
-        trig_sincos(angle_rad, &sine, &cosine);
-        return std::make_tuple(sine, cosine);
-    }, nb::arg("angle_rad"), "(sine, cosine) of an angle up to 1e5 rad, the same bits on every machine; see trig.h.");
+    m.def(
+        "sine_cosine",
+        [](double angle_rad) {
+            double sine, cosine;
+            trig_sincos(angle_rad, &sine, &cosine);
+            return std::make_tuple(sine, cosine);
+        },
+        nb::arg("angle_rad"), "(sine, cosine) of an angle up to 1e5 rad, the same bits on every machine; see trig.h.");
     nb::class_<vehicle_spec>(m, "VehicleSpec", "Figures of a vehicle, see tyres.h; zero until set.")
         .def("__init__", [](vehicle_spec *self) { new (self) vehicle_spec{}; })
         .def_rw("mass", &vehicle_spec::mass)
@@ -172,8 +176,7 @@ void bind_sim(nb::module_ &m) {
                          const vehicle_state &s = r.state();
                          return Triple(s.odom_x, s.odom_y, s.yaw + s.odom_yaw_error);
                      })
-        .def_prop_ro("odom_twist",
-                     [](const Robot &r) { return std::make_tuple(r.state().odom_v, r.state().odom_w); });
+        .def_prop_ro("odom_twist", [](const Robot &r) { return std::make_tuple(r.state().odom_v, r.state().odom_w); });
     m.attr("CONTACT_MS") = int(CONTACT_MS);
 
     m.def("first_crossing", &first_crossing, nb::arg("blocked"), nb::arg("region"));

@@ -22,8 +22,11 @@ T *checked(const Array &a, const char *name, std::initializer_list<long> shape) 
     using Value = std::remove_const_t<T>;
     if (a.dtype() != nb::dtype<Value>())
         throw nb::type_error((std::string(name) + ": wrong dtype; expected a C-contiguous array of " +
-                              (std::is_floating_point_v<Value> ? "float" : std::is_signed_v<Value> ? "int" : "uint") +
-                              std::to_string(8 * sizeof(Value))).c_str());
+                              (std::is_floating_point_v<Value> ? "float"
+                               : std::is_signed_v<Value>       ? "int"
+                                                               : "uint") +
+                              std::to_string(8 * sizeof(Value)))
+                                 .c_str());
     std::string want = "(";
     bool ok = a.ndim() == shape.size();
     size_t i = 0;

@@ -1,4 +1,4 @@
-#define _POSIX_C_SOURCE 199309L  /* clock_gettime */
+#define _POSIX_C_SOURCE 199309L  // clock_gettime
 #include "loop.h"
 
 #include <math.h>
@@ -26,11 +26,11 @@ void rate_wait(rate *r, int64_t until_ms) { r->due = until_ms; }
 
 void rate_finish(rate *r, int64_t now_ms) {
     const int64_t expected = r->grid + r->period;
-    r->grid = now_ms > expected + r->period ? now_ms : expected; /* a whole period late: forget the old grid */
+    r->grid = now_ms > expected + r->period ? now_ms : expected;  // a whole period late: forget the old grid
     r->due = expected > now_ms ? expected : now_ms;
 }
 
-/* Index of the newest that has arrived, -1 for none. */
+// Index of the newest that has arrived, -1 for none.
 static int arrived(const loop_queue *q, int64_t now_ms) {
     int found = -1;
     for (int i = 0; i < q->count; ++i) {
@@ -60,7 +60,7 @@ static bool take(loop_queue *q, int64_t now_ms, loop_stamp *to) {
     return true;
 }
 
-/* False where the robot may touch something before then. */
+// False where the robot may touch something before then.
 static bool drive_until(navigation_loop *l, int64_t time_ms) {
     if (time_ms <= l->now_ms) return true;
     const double start = clock_s();
@@ -71,7 +71,7 @@ static bool drive_until(navigation_loop *l, int64_t time_ms) {
     return l->contact_ms == 0;
 }
 
-/* The lidar fires and odometry is published, on the same 50 Hz grid. */
+// The lidar fires and odometry is published, on the same 50 Hz grid.
 static bool sense(navigation_loop *l) {
     const vehicle_state *s = &l->body->state;
     const loop_stamp stamp = {l->now_ms,
@@ -125,7 +125,7 @@ static void run_control(navigation_loop *l, int64_t now_ms) {
     spent(l, STAGE_CONTROL, start);
 }
 
-/* A map's cycle: the newest scan, then the map, unless whoever reads it holds it until later. */
+// A map's cycle: the newest scan, then the map, unless whoever reads it holds it until later.
 static void run_map(navigation_loop *l, int64_t now_ms, rate *cycle, int64_t held_until_ms, loop_stage stage,
                     void (*update)(void *, const double *)) {
     if (now_ms < held_until_ms) {
@@ -139,7 +139,7 @@ static void run_map(navigation_loop *l, int64_t now_ms, rate *cycle, int64_t hel
     spent(l, stage, start);
 }
 
-/* The map, plan or control cycle that is due. */
+// The map, plan or control cycle that is due.
 static void compute(navigation_loop *l, int64_t now_ms) {
     take(&l->estimates, now_ms, &l->estimate);
     if (now_ms == l->local.due) {
@@ -148,7 +148,7 @@ static void compute(navigation_loop *l, int64_t now_ms) {
         const int64_t held_until_ms = l->planning ? l->plan_done_ms : 0;
         run_map(l, now_ms, &l->global, held_until_ms, STAGE_GLOBAL_MAP, l->planner.update_global);
     } else if (!l->planning && now_ms == l->plan.due) {
-        /* The map is held while planning, so computing at the end from the pose at the start is the same. */
+        // The map is held while planning, so computing at the end from the pose at the start is the same.
         memcpy(l->planning_from, l->estimate.pose_odom, sizeof l->planning_from);
         l->planning = 1;
         l->plan_done_ms = now_ms + delay_ms(l, l->timing.plan_ms);
@@ -173,7 +173,7 @@ void loop_reset(navigation_loop *l, const double origin[2], const loop_phases *p
     l->flying_first = l->flying_count = 0;
     l->scans.first = l->scans.count = l->estimates.first = l->estimates.count = 0;
     l->estimates.delay_ms = t->odometry_delay_ms + phases->filter_ms;
-    /* A scan waits for the transform of its stamp. */
+    // A scan waits for the transform of its stamp.
     l->scans.delay_ms = t->scan_delay_ms > l->estimates.delay_ms ? t->scan_delay_ms : l->estimates.delay_ms;
     rate_start(&l->local, t->local_map_period_ms, phases->local_map_ms);
     rate_start(&l->global, t->global_map_period_ms, phases->global_map_ms);
@@ -184,7 +184,7 @@ void loop_reset(navigation_loop *l, const double origin[2], const loop_phases *p
     l->estimate = l->newest;
 }
 
-/* Simultaneous events in the order of the data's way, so that ideal timing is one synchronous tick. */
+// Simultaneous events in the order of the data's way, so that ideal timing is one synchronous tick.
 loop_pause loop_run(navigation_loop *l, int64_t end_ms) {
     for (;;) {
         const int64_t arrival_ms = l->flying_count ? l->flying[l->flying_first].due_ms : NEVER;
@@ -199,7 +199,7 @@ loop_pause loop_run(navigation_loop *l, int64_t end_ms) {
         } else if (scan_ms <= work_ms && scan_ms < end_ms) {
             if (!drive_until(l, scan_ms)) return LOOP_CONTACT;
             if (!sense(l)) return LOOP_BROKEN;
-            trial_look(&l->test, l->body, l->now_ms);
+            trial_update(&l->test, l->body, l->now_ms);
             if (l->test.over) return LOOP_OVER;
             if (l->watched) return LOOP_SAMPLED;
         } else if (work_ms < end_ms) {
@@ -208,7 +208,7 @@ loop_pause loop_run(navigation_loop *l, int64_t end_ms) {
             l->work_due_ms = next_work_ms(l);
         } else {
             if (!drive_until(l, end_ms)) return LOOP_CONTACT;
-            trial_look(&l->test, l->body, l->now_ms);
+            trial_update(&l->test, l->body, l->now_ms);
             return l->test.over ? LOOP_OVER : LOOP_ENDED;
         }
     }

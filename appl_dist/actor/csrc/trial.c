@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-enum { APART_MS = 500 }; /* contacts closer together are one collision: a body that scrapes along bounces */
+enum { APART_MS = 500 };  // contacts closer together are one collision: a body that scrapes along bounces
 #define CLEARANCE_LIMIT_M 100.0
 
 static void sample(trial *t, const robot *r, int64_t now_ms) {
@@ -38,9 +38,7 @@ double trial_time_s(const trial *t, int64_t now_ms) {
     return t->clock_start_ms < 0 ? 0.0 : (double)(now_ms - t->clock_start_ms) / 1000.0;
 }
 
-int trial_failed(const trial *t, const robot *r) {
-    return r->rolled_over || (t->rules.collision_ends && r->collided);
-}
+int trial_failed(const trial *t, const robot *r) { return r->rolled_over || (t->rules.collision_ends && r->collided); }
 
 int trial_timed_out(const trial *t, int64_t now_ms) {
     if (t->clock_start_ms < 0) return (double)now_ms >= t->rules.idle_limit_s * 1000.0;
@@ -58,10 +56,9 @@ static int at_goal(const trial *t, const robot *r) {
     return distance(r, k->goal_x, k->goal_y) < k->goal_radius;
 }
 
-void trial_look(trial *t, const robot *r, int64_t now_ms) {
+void trial_update(trial *t, const robot *r, int64_t now_ms) {
     sample(t, r, now_ms);
-    if (t->clock_start_ms < 0 &&
-        distance(r, t->start_x, t->start_y) >= t->rules.clock_starts_after)
+    if (t->clock_start_ms < 0 && distance(r, t->start_x, t->start_y) >= t->rules.clock_starts_after)
         t->clock_start_ms = now_ms;
     const int failed = trial_failed(t, r);
     t->success = t->success || (!failed && at_goal(t, r));

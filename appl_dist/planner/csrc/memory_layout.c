@@ -7,6 +7,7 @@
 
 static int cells_of(double metres, double res) { return (int)(metres / res + 0.5); }
 
+// clang-format off
 // Sets `bad` and returns false where a field is not in [low, high]; NaN is in no range.
 #define WITHIN(from, field, low_, high_)                                             \
     if (!((from)->field >= (low_) && (from)->field <= (high_))) {                    \
@@ -57,85 +58,86 @@ bool navigator_check_parameters(const planner_settings *s, const planner_paramet
     return true;
 }
 
-void *layout_grab(arena *a, size_t bytes) {
+// clang-format on
+
+void *arena_alloc(arena *a, size_t bytes) {
     void *at = a->base ? a->base + a->used : NULL;
     a->used += (bytes + 63) & ~(size_t)63;
     return at;
 }
 
-#define GRAB(a, type, count) ((type *)layout_grab(a, sizeof(type) * (size_t)(count)))
+#define ARENA_ARRAY(a, type, count) ((type *)arena_alloc(a, sizeof(type) * (size_t)(count)))
 
-static void lay_out_rollouts(rollout_planner *p, const planner_settings *s, int h, arena *a) {
+static void memory_layout_rollouts(rollout_planner *p, const planner_settings *s, int h, arena *a) {
     const double fastest = fmax(VELOCITY_MAX, fabs(s->escape_vel));
-    p->steps_max = 2 + (int)fmax(fastest * s->sim_time / s->sim_granularity,
-                                 (double)VELOCITY_MAX / s->angular_sim_granularity);
+    p->steps_max =
+        2 + (int)fmax(fastest * s->sim_time / s->sim_granularity, (double)VELOCITY_MAX / s->angular_sim_granularity);
     wavefront *waves[2] = {&p->path, &p->goal};
-    for (int i = 0; i < 2; ++i) waves[i]->dist = GRAB(a, uint16_t, h * WAVE_STRIDE);
+    for (int i = 0; i < 2; ++i) waves[i]->dist = ARENA_ARRAY(a, uint16_t, h * WAVE_STRIDE);
     const footprint_shape shape = footprint_make(s->half_length_m, s->half_width_m, s->footprint_padding);
     const int reach = footprint_line_reach(&shape, s->resolution_m);
-    p->lines.cells = GRAB(a, int16_t, (2 * reach + 1) * (2 * reach + 1) * (reach + 1));
-    p->search.blocks = GRAB(a, sample_block, SEARCH_BLOCKS);
-    p->search.turns = GRAB(a, sample_block, TURN_BLOCKS);
-    for (int k = 0, entries = LOWEST_MAX; k < LOWEST_DEPTH_MAX; ++k, entries /= LOWEST_FAN)
-        p->search.bounds.level[k] = GRAB(a, double, entries);
+    p->lines.cells = ARENA_ARRAY(a, int16_t, (2 * reach + 1) * (2 * reach + 1) * (reach + 1));
+    p->search.blocks = ARENA_ARRAY(a, sample_block, FORWARD_BLOCKS);
+    p->search.turns = ARENA_ARRAY(a, sample_block, TURN_BLOCKS);
+    for (int k = 0, entries = MINIMUM_TREE_LEAVES_MAX; k < MINIMUM_TREE_DEPTH_MAX; ++k, entries /= MINIMUM_TREE_FANOUT)
+        p->search.bounds.level[k] = ARENA_ARRAY(a, double, entries);
     rollout *scratch[3] = {&p->one, &p->two, &p->probe};
     for (int i = 0; i < 3; ++i) {
-        scratch[i]->x = GRAB(a, double, p->steps_max);
-        scratch[i]->y = GRAB(a, double, p->steps_max);
-        scratch[i]->th = GRAB(a, double, p->steps_max);
+        scratch[i]->x = ARENA_ARRAY(a, double, p->steps_max);
+        scratch[i]->y = ARENA_ARRAY(a, double, p->steps_max);
+        scratch[i]->th = ARENA_ARRAY(a, double, p->steps_max);
     }
 }
 
-static void lay_out_map(costmap *m, int cells, double res, bool rolling, arena *a) {
+static void memory_layout_map(costmap *m, int cells, double res, bool rolling, arena *a) {
     m->frame = (grid_frame){cells, cells, res, 0, 0};
     m->rolling = rolling;
-    m->obstacles = GRAB(a, uint8_t, cells * cells + LAYER_PADDING);
-    m->master = GRAB(a, uint8_t, cells * cells + LAYER_PADDING);
+    m->obstacles = ARENA_ARRAY(a, uint8_t, cells * cells + LAYER_PADDING);
+    m->master = ARENA_ARRAY(a, uint8_t, cells * cells + LAYER_PADDING);
 }
 
-void layout_navigator(navigator *n, const planner_settings *s, arena *a) {
+void memory_layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     const double res = s->resolution_m;
     const int local = cells_of(s->local_size_m, res), global = cells_of(s->global_size_m, res);
     const int largest = local > global ? local : global;
-    lay_out_map(&n->local, local, res, true, a);
-    lay_out_map(&n->global, global, res, false, a);
-    n->scratch.best = GRAB(a, uint8_t, largest * largest);
-    n->scratch.lethal = GRAB(a, int32_t, largest * largest);
-    n->scratch.pages = GRAB(a, inflation_page, inflation_pages(largest * largest));
+    memory_layout_map(&n->local, local, res, true, a);
+    memory_layout_map(&n->global, global, res, false, a);
+    n->scratch.best = ARENA_ARRAY(a, uint8_t, largest * largest);
+    n->scratch.lethal = ARENA_ARRAY(a, int32_t, largest * largest);
+    n->scratch.pages = ARENA_ARRAY(a, inflation_page, inflation_pages(largest * largest));
 
     navfn *plan = &n->plan;
     plan->w = plan->h = global;
-    plan->master = GRAB(a, uint8_t, global * global);
-    plan->cost = GRAB(a, uint8_t, global * global);
-    plan->potential = GRAB(a, float, global * global);
-    plan->step = GRAB(a, float, global * global);
-    plan->remain = GRAB(a, float, global * global);
-    plan->reached = GRAB(a, int32_t, global * global + 1);
-    for (int i = 0; i < 3; ++i) plan->buffers[i] = GRAB(a, int32_t, NAVFN_BUFFER + 4);
+    plan->master = ARENA_ARRAY(a, uint8_t, global * global);
+    plan->cost = ARENA_ARRAY(a, uint8_t, global * global);
+    plan->potential = ARENA_ARRAY(a, float, global *global);
+    plan->step = ARENA_ARRAY(a, float, global *global);
+    plan->remain = ARENA_ARRAY(a, float, global *global);
+    plan->reached = ARENA_ARRAY(a, int32_t, global * global + 1);
+    for (int i = 0; i < 3; ++i) plan->buffers[i] = ARENA_ARRAY(a, int32_t, NAVFN_BUFFER + 4);
     plan->path_capacity = 4 * global;
-    plan->path_x = GRAB(a, float, plan->path_capacity);
-    plan->path_y = GRAB(a, float, plan->path_capacity);
-    plan->plan = GRAB(a, double, 2 * (plan->path_capacity + 1));
+    plan->path_x = ARENA_ARRAY(a, float, plan->path_capacity);
+    plan->path_y = ARENA_ARRAY(a, float, plan->path_capacity);
+    plan->plan = ARENA_ARRAY(a, double, 2 * (plan->path_capacity + 1));
 
-    n->latest = GRAB(a, double, 2 * (plan->path_capacity + 1));
+    n->latest = ARENA_ARRAY(a, double, 2 * (plan->path_capacity + 1));
     n->local_plan.plan.capacity = plan->path_capacity + 1;
-    n->local_plan.plan.x = GRAB(a, double, plan->path_capacity + 1);
-    n->local_plan.plan.y = GRAB(a, double, plan->path_capacity + 1);
-    n->seen.x = GRAB(a, float, s->beams + OBSERVATION_PADDING);
-    n->seen.y = GRAB(a, float, s->beams + OBSERVATION_PADDING);
-    n->seen.marks = GRAB(a, int32_t, s->beams + 1);
-    n->seen.lines = GRAB(a, fan_line, s->beams);
-    n->beam_cos = GRAB(a, double, s->beams);
-    n->beam_sin = GRAB(a, double, s->beams);
-    lay_out_rollouts(&n->local_plan.rollouts, s, local, a);
+    n->local_plan.plan.x = ARENA_ARRAY(a, double, plan->path_capacity + 1);
+    n->local_plan.plan.y = ARENA_ARRAY(a, double, plan->path_capacity + 1);
+    n->seen.x = ARENA_ARRAY(a, float, s->beams + OBSERVATION_PADDING);
+    n->seen.y = ARENA_ARRAY(a, float, s->beams + OBSERVATION_PADDING);
+    n->seen.marks = ARENA_ARRAY(a, int32_t, s->beams + 1);
+    n->seen.lines = ARENA_ARRAY(a, raytrace_line, s->beams);
+    n->beam_cos = ARENA_ARRAY(a, double, s->beams);
+    n->beam_sin = ARENA_ARRAY(a, double, s->beams);
+    memory_layout_rollouts(&n->local_plan.rollouts, s, local, a);
 }
 
 size_t navigator_bytes(const planner_settings *set) {
     navigator unused;
     arena a = {NULL, 0};
     memset(&unused, 0, sizeof unused);
-    layout_grab(&a, sizeof unused);
-    layout_navigator(&unused, set, &a);
+    arena_alloc(&a, sizeof unused);
+    memory_layout_navigator(&unused, set, &a);
     return a.used;
 }
-

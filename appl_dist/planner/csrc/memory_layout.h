@@ -7,6 +7,6 @@ typedef struct {
     size_t used;
 } arena;
 
-void *layout_grab(arena *a, size_t bytes);
+void *arena_alloc(arena *a, size_t bytes);
 // Points every array of `n` into the arena.
-void layout_navigator(navigator *n, const planner_settings *set, arena *a);
+void memory_layout_navigator(navigator *n, const planner_settings *set, arena *a);

@@ -7,9 +7,9 @@
 
 navigator *navigator_init(void *memory, const planner_settings *set, const planner_parameters *par, bool fast) {
     arena a = {memory, 0};
-    navigator *n = layout_grab(&a, sizeof *n);
+    navigator *n = arena_alloc(&a, sizeof *n);
     memset(n, 0, sizeof *n);
-    layout_navigator(n, set, &a);
+    memory_layout_navigator(n, set, &a);
     n->set = *set;
     n->shape = footprint_make(set->half_length_m, set->half_width_m, set->footprint_padding);
     rollout_planner *r = &n->local_plan.rollouts;
@@ -124,7 +124,7 @@ static void start_clock(navigator *n, double now) {
 bool navigator_plan(navigator *n, const double pose[3], double now) {
     if (!n->run_planner || n->state == NAVIGATOR_IDLE) return false;
     if (!isnan(now)) start_clock(n, now);
-    costmap_freed(&n->global, pose[0], pose[1]);
+    costmap_mark_cleared(&n->global, pose[0], pose[1]);
     if (navfn_plan(&n->plan, &n->global.frame, n->global.master, pose[0], pose[1], n->goal[0], n->goal[1])) {
         n->latest_count = n->plan.plan_count;
         memcpy(n->latest, n->plan.plan, sizeof(double) * 2 * (size_t)n->latest_count);
@@ -221,7 +221,7 @@ void navigator_control(navigator *n, const double pose_in[3], const double twist
     double pose[3];
     out[0] = out[1] = 0;
     n->valid = false;
-    n->local_plan.rollouts.rollouts = n->local_plan.rollouts.rollout_steps = 0; /* of this cycle, if it comes to any */
+    n->local_plan.rollouts.rollouts = n->local_plan.rollouts.rollout_steps = 0;  // of this cycle, if it comes to any
     if (n->state == NAVIGATOR_IDLE || n->state == NAVIGATOR_SUCCEEDED || n->state == NAVIGATOR_ABORTED) return;
     start_clock(n, now);
     robot_pose(pose_in, pose);
@@ -235,10 +235,17 @@ void navigator_control(navigator *n, const double pose_in[3], const double twist
         if (n->reason == RECOVERY_FOR_PLANNING) n->recovery_index = 0;
     }
     switch (n->state) {
-        case NAVIGATOR_PLANNING: n->run_planner = true; break;
-        case NAVIGATOR_CONTROLLING: follow_plan(n, pose_in, twist, out); break;
-        case NAVIGATOR_CLEARING: start_recovery(n, pose, out); break;
-        default: break;
+        case NAVIGATOR_PLANNING:
+            n->run_planner = true;
+            break;
+        case NAVIGATOR_CONTROLLING:
+            follow_plan(n, pose_in, twist, out);
+            break;
+        case NAVIGATOR_CLEARING:
+            start_recovery(n, pose, out);
+            break;
+        default:
+            break;
     }
 }
 

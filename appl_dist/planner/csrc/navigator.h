@@ -14,7 +14,7 @@ typedef enum {
     NAVIGATOR_CONTROLLING,  // follows the plan
     NAVIGATOR_CLEARING,     // runs a recovery behaviour
     NAVIGATOR_SUCCEEDED,
-    NAVIGATOR_ABORTED,      // out of recoveries: zero velocity until the next goal
+    NAVIGATOR_ABORTED,  // out of recoveries: zero velocity until the next goal
 } navigator_state;
 
 typedef enum { RECOVERY_FOR_PLANNING, RECOVERY_FOR_CONTROLLING } recovery_reason;
@@ -22,8 +22,8 @@ typedef enum { RECOVERY_FOR_PLANNING, RECOVERY_FOR_CONTROLLING } recovery_reason
 enum { RECOVERY_BEHAVIOURS = 4 };  // clear, rotate, clear, rotate; the clearings name a layer that does not exist
 
 typedef struct {
-    bool active, half;      // half a turn done
-    double start_yaw;       // rad
+    bool active, half;  // half a turn done
+    double start_yaw;   // rad
 } rotation;
 
 typedef struct {
@@ -36,16 +36,16 @@ typedef struct {
     local_planner local_plan;
     observation seen;
     double *beam_cos, *beam_sin;  // (beams) directions in the laser's frame
-    double goal[3];         // m, m, rad; odom
+    double goal[3];               // m, m, rad; odom
     navigator_state state;
     recovery_reason reason;
     rotation turn;
     bool run_planner, new_plan, have_plan;
-    double *latest;         // (path capacity + 1, 2) the newest global plan
+    double *latest;  // (path capacity + 1, 2) the newest global plan
     int latest_count;
     int recovery_index, recoveries;
     double now, last_valid_plan, last_valid_control;  // s; NaN before the first control cycle
-    bool valid;             // the last control cycle's command came from a valid roll-out or goal behaviour
+    bool valid;  // the last control cycle's command came from a valid roll-out or goal behaviour
     unsigned cycles;
 } navigator;
 

@@ -6,7 +6,8 @@
 typedef struct {
     void *self;
     int beams;  // of the scans that it takes
-    // ranges: (beams) m; not finite or not positive = no return. pose: x, y, yaw of the robot at the scan's stamp; odom.
+    // ranges: (beams) m; not finite or not positive = no return. pose: x, y, yaw of the robot at the scan's stamp;
+    // odom.
     void (*add_scan)(void *self, const float *ranges, const double pose[3]);
     void (*update_local)(void *self, const double pose[3]);
     void (*update_global)(void *self, const double pose[3]);

@@ -1,8 +1,9 @@
-// What the planner is told: fixed settings (the Jackal's yaml files) and the eight parameters APPL moves.
+// What the planner is told: fixed settings (the Jackal's yaml files) and the parameters APPL moves.
 // One list, so that the binding and Python cannot disagree about a field.
 #pragma once
 #include <stdbool.h>
 
+// clang-format off
 // Names and units as documented in planner/parameters.py, PlannerSettings.
 #define PLANNER_SETTINGS(X)                                                                                   \
     X(acc_lim_x) X(acc_lim_theta) X(min_vel_x) X(min_in_place_vel_theta) X(max_rotational_vel) X(escape_vel)  \
@@ -15,6 +16,7 @@
     X(obstacle_range) X(raytrace_range) X(laser_x_m) X(beams) X(angle_max_rad)                                \
     X(controller_patience) X(planner_patience)                                                                \
     X(rotate_max_vel_theta) X(rotate_granularity_rad)
+// clang-format on
 
 typedef struct {
 #define FIELD(name) double name;
@@ -31,9 +33,10 @@ typedef struct {
 } planner_parameters;
 
 enum {
-    SAMPLES_MAX = 300,            // BaseLocalPlanner.cfg
-    INFLATION_CELLS_MAX = 20,     // 1 m at 0.05 m
-    VELOCITY_MAX = 20,            // BaseLocalPlanner.cfg, m/s and rad/s
+    PLANNER_PARAMETERS = sizeof(planner_parameters) / sizeof(double),  // how many there are
+    SAMPLES_MAX = 300,         // BaseLocalPlanner.cfg
+    INFLATION_CELLS_MAX = 20,  // 1 m at 0.05 m
+    VELOCITY_MAX = 20,         // BaseLocalPlanner.cfg, m/s and rad/s
 };
 
 // A field that is not what it may be.

@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-/* Give `label` to the free cells connected to `seed`; returns how many there are. */
+// Give `label` to the free cells connected to `seed`; returns how many there are.
 static int flood(const uint8_t *blocked, int rows, int cols, uint8_t *region, int32_t *stack, int32_t seed,
                  uint8_t label) {
     int size = 0, depth = 0;
@@ -23,7 +23,7 @@ static int flood(const uint8_t *blocked, int rows, int cols, uint8_t *region, in
     return size;
 }
 
-/* Label of the largest region with a cell in `column`; regions found before keep their labels. */
+// Label of the largest region with a cell in `column`; regions found before keep their labels.
 static uint8_t largest(const uint8_t *blocked, int rows, int cols, uint8_t *region, int32_t *stack, int column,
                        int *sizes, uint8_t *labels) {
     uint8_t best = 0;
@@ -39,8 +39,8 @@ static uint8_t largest(const uint8_t *blocked, int rows, int cols, uint8_t *regi
     return best;
 }
 
-int field_crossing(const uint8_t *blocked, int rows, int cols, uint8_t *region, int32_t *stack) {
-    int sizes[256] = {0}; /* at most one region for each cell of two columns: rows < 128 */
+int grid_connectivity_crossing(const uint8_t *blocked, int rows, int cols, uint8_t *region, int32_t *stack) {
+    int sizes[256] = {0};  // at most one region for each cell of two columns: rows < 128
     uint8_t labels = 0;
     memset(region, 0, (size_t)rows * (size_t)cols);
     const uint8_t left = largest(blocked, rows, cols, region, stack, 0, sizes, &labels);

@@ -15,7 +15,7 @@ void lidar_directions(const lidar_spec *spec, double *cosines, double *sines) {
     }
 }
 
-/* atan2 to 4e-4 rad: spans are widened by that. libm's own was a third of a scan's time. */
+// atan2 to 4e-4 rad: spans are widened by that. libm's own was a third of a scan's time.
 static inline double bearing(double y, double x) {
     const double ax = fabs(x), ay = fabs(y), big = ax > ay ? ax : ay, small = ax > ay ? ay : ax;
     const double a = small / big, s = a * a;
@@ -24,13 +24,13 @@ static inline double bearing(double y, double x) {
     return copysign(x < 0.0 ? PI - quadrant : quadrant, y);
 }
 
-#define BLOCK 64 /* cylinders at a time */
-#define LANES 8  /* beams at a time */
+#define BLOCK 64  // cylinders at a time
+#define LANES 8   // beams at a time
 
-/* What a block of cylinders looks like from the lidar: centres in its frame and the beams that may hit them. */
+// What a block of cylinders looks like from the lidar: centres in its frame and the beams that may hit them.
 typedef struct {
-    double x[BLOCK], y[BLOCK], offset[BLOCK]; /* offset = x^2 + y^2 - radius^2 */
-    double centre[BLOCK], half[BLOCK];        /* bearing and half width, in beams; half < 0: none */
+    double x[BLOCK], y[BLOCK], offset[BLOCK];  // offset = x^2 + y^2 - radius^2
+    double centre[BLOCK], half[BLOCK];         // bearing and half width, in beams; half < 0: none
 } view;
 
 static void look(const lidar_spec *spec, const double pose[3], double c, double s, const double *cylinders, int n,
@@ -40,8 +40,8 @@ static void look(const lidar_spec *spec, const double pose[3], double c, double 
         const double dx = cylinders[3 * k] - pose[0], dy = cylinders[3 * k + 1] - pose[1];
         const double radius = cylinders[3 * k + 2], d2 = dx * dx + dy * dy, reach = spec->range_max + radius;
         const double x = c * dx + s * dy, y = c * dy - s * dx;
-        /* Only beams within asin(r / d) of the centre's bearing can hit. asin(q) <= q + 0.5708 q^3 on [0, 1], and one
-         * beam more on each side covers rounding; hit_lanes decides exactly. */
+        // Only beams within asin(r / d) of the centre's bearing can hit. asin(q) <= q + 0.5708 q^3 on [0, 1], and one
+        // beam more on each side covers rounding; hit_lanes decides exactly.
         const double q = radius / sqrt(d2), half = (q + 0.5708 * q * q * q + 4e-4) * per_radian + 1.0;
         seen->x[k] = x;
         seen->y[k] = y;
@@ -51,13 +51,13 @@ static void look(const lidar_spec *spec, const double pose[3], double c, double 
     }
 }
 
-/* LANES beams against one cylinder: keep the nearer hit. */
+// LANES beams against one cylinder: keep the nearer hit.
 static inline void hit_lanes(const double *restrict c, const double *restrict s, double x, double y, double offset,
                              double range_min, double range_max, float *restrict ranges) {
     double found[LANES];
     for (int i = 0; i < LANES; ++i) {
         const double along = x * c[i] + y * s[i];
-        const double inside = along * along - offset; /* r^2 - (distance of the centre from the beam)^2 */
+        const double inside = along * along - offset;  // r^2 - (distance of the centre from the beam)^2
         const double exact = along - sqrt(inside < 0.0 ? 0.0 : inside);
         const double range = exact < range_min ? range_min : exact;
         found[i] = ((inside >= 0.0) & (along > 0.0) & (range <= range_max)) ? range : INFINITY;
@@ -66,7 +66,7 @@ static inline void hit_lanes(const double *restrict c, const double *restrict s,
 }
 
 WIDE void lidar_cast(const lidar *sensor, const double pose[3], const double *cylinders, size_t n, uint64_t seed,
-                uint64_t stamp, float *ranges) {
+                     uint64_t stamp, float *ranges) {
     const lidar_spec *spec = &sensor->spec;
     const double *cosines = sensor->cosines, *sines = sensor->sines;
     const double turn = 2.0 * PI / spec->increment;
@@ -82,14 +82,14 @@ WIDE void lidar_cast(const lidar *sensor, const double pose[3], const double *cy
         for (int k = 0; k < count; ++k) {
             const double half = seen.half[k];
             if (half < 0.0) continue;
-            /* Reached a turn before or on as well, for beams near +-pi of a lidar that sees behind itself. */
+            // Reached a turn before or on as well, for beams near +-pi of a lidar that sees behind itself.
             double middle = seen.centre[k];
             while (middle - turn + half >= 0.0) middle -= turn;
             for (; middle - half <= (double)(beams - 1); middle += turn) {
                 if (middle + half < 0.0) continue;
                 const double low = middle - half, high = middle + half;
                 const long last = high < (double)(beams - 1) ? (long)high : beams - 1;
-                /* From a multiple of LANES on, so that what one cylinder stored the next one loads whole. */
+                // From a multiple of LANES on, so that what one cylinder stored the next one loads whole.
                 for (long at = low > 0.0 ? (long)low / LANES * LANES : 0; at <= last; at += LANES) {
                     const long start = at < end ? at : end;
                     hit_lanes(cosines + start, sines + start, seen.x[k], seen.y[k], seen.offset[k], spec->range_min,

@@ -5,9 +5,9 @@
 #include "geometry.h"
 #include "trig.h"
 
-#define NEAR_M 0.02     /* bullet's contacts begin to act at this distance */
-#define HARDEST_N 400.0 /* twice the weight: more is a jolt of one step */
-enum { AHEAD_MS = 20, GLIDE_MS = 20 }; /* how far ahead the way is checked; how often the ideal drive looks */
+#define NEAR_M 0.02                     // bullet's contacts begin to act at this distance
+#define HARDEST_N 400.0                 // twice the weight: more is a jolt of one step
+enum { AHEAD_MS = 20, GLIDE_MS = 20 };  // how far ahead the way is checked; how often the ideal drive is checked
 
 void robot_reset(robot *r, const double pose[3], uint64_t seed) {
     vehicle_reset(&r->spec, &r->state, pose, seed);
@@ -22,8 +22,9 @@ double robot_clearance(const robot *r, double limit) {
 }
 
 static int is_free(const robot *r, int ms) {
-    const double speed = sqrt(r->state.vx * r->state.vx + r->state.vy * r->state.vy) + fabs(r->state.w) * r->spec.hull_radius;
-    /* Tyres give at most sqrt(2) mu g of acceleration; 15 m/s^2 bounds that with the hull's swing. */
+    const double speed =
+        sqrt(r->state.vx * r->state.vx + r->state.vy * r->state.vy) + fabs(r->state.w) * r->spec.hull_radius;
+    // Tyres give at most sqrt(2) mu g of acceleration; 15 m/s^2 bounds that with the hull's swing.
     const double time = 1e-3 * ms, reach = (speed + 0.5 * 15.0 * time) * time + NEAR_M;
     return robot_clearance(r, reach) >= reach;
 }
@@ -39,7 +40,7 @@ static int glide(robot *r, int ms) {
     return ms;
 }
 
-/* The way is checked 20 ms ahead and, where that is too far to be sure, as far as one step with contacts. */
+// The way is checked 20 ms ahead and, where that is too far to be sure, as far as one step with contacts.
 int robot_drive(robot *r, int ms) {
     if (r->spec.ideal) return glide(r, ms);
     if (r->held) return 0;

@@ -1,12 +1,12 @@
-/* Traction of a skid-steered robot on flat ground.
- *
- * The wheels are ideal velocity motors (no effort limit in the URDF): after the acceleration limits of
- * diff_drive_controller they turn exactly as commanded, and all lag and slip is tyre friction. Each wheel touches the
- * ground at the two edges of its tread. Every 1 ms the friction impulses are found that bring the contact points to
- * rest against the turning treads, each bounded by +-mu N dt along the two WORLD axes: without a usable fdir1, ODE
- * builds its friction pyramid from the contact normal alone. Hence the robot turns faster along the world axes than
- * across them. Projected Gauss-Seidel, as in ODE's quickstep, started from the last step's impulses.
- * Normal forces are those of a rigid robot in quasi-static balance, so braking and turning shift them. */
+// Traction of a skid-steered robot on flat ground.
+//
+// The wheels are ideal velocity motors (no effort limit in the URDF): after the acceleration limits of
+// diff_drive_controller they turn exactly as commanded, and all lag and slip is tyre friction. Each wheel touches the
+// ground at the two edges of its tread. Every 1 ms the friction impulses are found that bring the contact points to
+// rest against the turning treads, each bounded by +-mu N dt along the two WORLD axes: without a usable fdir1, ODE
+// builds its friction pyramid from the contact normal alone. Hence the robot turns faster along the world axes than
+// across them. Projected Gauss-Seidel, as in ODE's quickstep, started from the last step's impulses.
+// Normal forces are those of a rigid robot in quasi-static balance, so braking and turning shift them.
 #include "tyres.h"
 
 #include <math.h>
@@ -17,13 +17,11 @@
 
 #define STEP_S 0.001
 #define MAX_SWEEPS 50
-#define TOLERANCE 1e-7 /* m/s: largest velocity change of a sweep at which the solution counts as found */
+#define TOLERANCE 1e-7  // m/s: largest velocity change of a sweep at which the solution counts as found
 #define ODOMETRY_MS 20
 #define IDEAL_MS 10
 
-static double clamp(double value, double low, double high) {
-    return value < low ? low : value > high ? high : value;
-}
+static double clamp(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
 
 void vehicle_reset(const vehicle_spec *spec, vehicle_state *state, const double pose[3], uint64_t seed) {
     memset(state, 0, sizeof *state);
@@ -31,7 +29,7 @@ void vehicle_reset(const vehicle_spec *spec, vehicle_state *state, const double 
     state->y = state->odom_y = pose[1];
     state->yaw = pose[2];
     state->seed = seed;
-    state->command_age_ms = spec->timeout_ms; /* nothing received yet */
+    state->command_age_ms = spec->timeout_ms;  // nothing received yet
     state->ground_force = spec->mass * GRAVITY;
 }
 
@@ -41,7 +39,7 @@ void vehicle_command(vehicle_state *state, double v, double w, int64_t age_ms) {
     state->command_age_ms = age_ms;
 }
 
-/* One update of diff_drive_controller: time-out, then velocity and acceleration limits. */
+// One update of diff_drive_controller: time-out, then velocity and acceleration limits.
 static void turn_wheels(const vehicle_spec *spec, vehicle_state *state, double dt) {
     const int stale = state->command_age_ms >= spec->timeout_ms;
     const double v = stale ? 0.0 : clamp(state->command_v, -spec->max_v, spec->max_v);
@@ -51,10 +49,10 @@ static void turn_wheels(const vehicle_spec *spec, vehicle_state *state, double d
     state->wheel_w = clamp(w, state->wheel_w - dw, state->wheel_w + dw);
 }
 
-/* What does not change while the robot drives; contacts in base_link. */
+// What does not change while the robot drives; contacts in base_link.
 typedef struct {
     double inverse_mass, inverse_inertia;
-    double x[CONTACTS], y[CONTACTS], xx, yy; /* m; sums of squares, m^2 */
+    double x[CONTACTS], y[CONTACTS], xx, yy;  // m; sums of squares, m^2
     double from_com_x[CONTACTS], from_com_y[CONTACTS];
 } stance;
 
@@ -70,8 +68,8 @@ static stance stand(const vehicle_spec *spec) {
     return k;
 }
 
-/* Largest friction impulse of each contact, mu N dt. Contacts lie symmetrically about base_link, so the least-norm
- * loads N = a + b x + c y that balance weight and tyre force have a closed form. */
+// Largest friction impulse of each contact, mu N dt. Contacts lie symmetrically about base_link, so the least-norm
+// loads N = a + b x + c y that balance weight and tyre force have a closed form.
 static void load_contacts(const vehicle_spec *spec, const stance *k, const vehicle_state *state, double c, double s,
                           double *limit) {
     const double weight = state->ground_force;
@@ -85,7 +83,7 @@ static void load_contacts(const vehicle_spec *spec, const stance *k, const vehic
     }
 }
 
-/* c, s: cos and sin of the yaw. */
+// c, s: cos and sin of the yaw.
 static void solve_friction(const vehicle_spec *spec, const stance *k, vehicle_state *state, double c, double s) {
     const double inverse_mass = k->inverse_mass, inverse_inertia = k->inverse_inertia;
     double arm_x[CONTACTS], arm_y[CONTACTS], scale_x[CONTACTS], scale_y[CONTACTS], limit[CONTACTS];
@@ -139,9 +137,9 @@ static void solve_friction(const vehicle_spec *spec, const stance *k, vehicle_st
     state->w = w;
 }
 
-/* c, s: cos and sin of the yaw, before and after. */
+// c, s: cos and sin of the yaw, before and after.
 static void move(const vehicle_spec *spec, vehicle_state *state, double *c, double *s) {
-    /* Semi-implicit: the centre of mass moves along the new velocity, base_link follows rigidly. */
+    // Semi-implicit: the centre of mass moves along the new velocity, base_link follows rigidly.
     const double c0 = *c, s0 = *s;
     state->yaw += state->w * STEP_S;
     trig_sincos(state->yaw, s, c);
@@ -155,8 +153,8 @@ static void move(const vehicle_spec *spec, vehicle_state *state, double *c, doub
     state->odom_y += state->wheel_v * s1 * STEP_S;
 }
 
-/* robot_localization in its steady state: wheel speed half trusted; the IMU's yaw rate almost, its heading fully
- * (process noise 0.06 rad^2/s against its 2.5e-5 rad^2), so that the heading's white noise is published. */
+// robot_localization in its steady state: wheel speed half trusted; the IMU's yaw rate almost, its heading fully
+// (process noise 0.06 rad^2/s against its 2.5e-5 rad^2), so that the heading's white noise is published.
 static void filter_odometry(const vehicle_spec *spec, vehicle_state *state) {
     const uint64_t key = counter_key(state->seed, (uint64_t)state->time_ms);
     const double noise = spec->odom_noise_w * counter_normal(key, UINT64_C(1) << 32);
@@ -165,8 +163,8 @@ static void filter_odometry(const vehicle_spec *spec, vehicle_state *state) {
     state->odom_w += spec->odom_gain_w * (state->w + noise - state->odom_w);
 }
 
-/* The drive of the recorded closed-loop vectors: acceleration limits, then up to 10 ms along the midpoint heading.
- * Its sine and cosine are libm's, as when they were recorded. */
+// The drive of the recorded closed-loop vectors: acceleration limits, then up to 10 ms along the midpoint heading.
+// Its sine and cosine are libm's, as when they were recorded.
 static void ideal_step(const vehicle_spec *spec, vehicle_state *state, int ms) {
     const double dt = STEP_S * ms;
     turn_wheels(spec, state, dt);

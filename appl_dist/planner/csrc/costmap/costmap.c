@@ -11,7 +11,7 @@ void costmap_clear(costmap *m, double origin_x, double origin_y) {
     memset(m->obstacles, COST_FREE, cells);
     memset(m->master, COST_FREE, cells);
     m->inflate.need_reinflation = true;
-    m->exact = m->freed = (grid_window){0, 0, 0, 0};
+    m->exact = m->cleared = (grid_window){0, 0, 0, 0};
     m->touched = (grid_window){0, 0, m->frame.w, m->frame.h};
 }
 
@@ -29,10 +29,10 @@ static void shift_map(uint8_t *map, int w, int h, int dx, int dy) {
         for (int y = 0; y < h; ++y) map[y * w + x] = COST_FREE;
 }
 
-void costmap_freed(costmap *m, double x, double y) {
+void costmap_mark_cleared(costmap *m, double x, double y) {
     int cx, cy;
     if (!world_to_map(&m->frame, x, y, &cx, &cy)) return;
-    grid_window *k = &m->freed;
+    grid_window *k = &m->cleared;
     if (window_empty(*k)) *k = (grid_window){cx, cy, cx + 1, cy + 1};
     k->x0 = cx < k->x0 ? cx : k->x0, k->xn = cx >= k->xn ? cx + 1 : k->xn;
     k->y0 = cy < k->y0 ? cy : k->y0, k->yn = cy >= k->yn ? cy + 1 : k->yn;
@@ -93,15 +93,15 @@ void costmap_update(costmap *m, inflation_scratch *scratch, const planner_settin
     if (xn < x0 || yn < y0) return;
     clear_footprint(m, shape, pose);
     const grid_window window = {x0, y0, xn, yn};
-    if (stamps_hold(&m->inflate) && !window_empty(window_overlap(m->exact, window))) {
-        stamps_renew(&m->inflate, scratch, m->obstacles, m->master, w, h, window, m->exact, m->freed);
+    if (inflation_stamps_exact(&m->inflate) && !window_empty(window_overlap(m->exact, window))) {
+        inflation_stamps_update(&m->inflate, scratch, m->obstacles, m->master, w, h, window, m->exact, m->cleared);
         m->exact = window;
     } else {
         for (int y = y0; y < yn; ++y) memcpy(m->master + y * w + x0, m->obstacles + y * w + x0, (size_t)(xn - x0));
         const bool stamped = inflation_run(&m->inflate, scratch, m->master, w, h, x0, y0, xn, yn);
         m->exact = stamped ? window : (grid_window){0, 0, 0, 0};
     }
-    m->freed = (grid_window){0, 0, 0, 0};
+    m->cleared = (grid_window){0, 0, 0, 0};
     const int spread = 2 * m->inflate.cells;
     m->touched = (grid_window){x0 > spread ? x0 - spread : 0, y0 > spread ? y0 - spread : 0,
                                xn + spread < w ? xn + spread : w, yn + spread < h ? yn + spread : h};

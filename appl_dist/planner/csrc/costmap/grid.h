@@ -9,9 +9,9 @@
 enum { COST_FREE = 0, COST_INSCRIBED = 253, COST_LETHAL = 254, COST_UNKNOWN = 255 };
 
 typedef struct {
-    int w, h;         // cells
-    double res;       // m
-    double ox, oy;    // m, lower left corner of cell (0, 0)
+    int w, h;       // cells
+    double res;     // m
+    double ox, oy;  // m, lower left corner of cell (0, 0)
 } grid_frame;
 
 typedef struct {

@@ -196,11 +196,11 @@ bool inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map,
     if (x0 >= xn || y0 >= yn) return false;
     bool unknown = false;
     const int count = find_lethal(map, w, x0, y0, xn, yn, scratch->lethal, &unknown);
-    if (!unknown && stamps_hold(f)) {
-        for (int i = 0; i < count; ++i) stamp_cell(f, map, w, h, scratch->lethal[i]);
+    if (!unknown && inflation_stamps_exact(f)) {
+        for (int i = 0; i < count; ++i) inflation_stamps_cell(f, map, w, h, scratch->lethal[i]);
         return true;
     }
-    // The fire leaves the window by at most its reach, and looks one cell beyond.
+    // The fire leaves the window by at most its reach, and reads one cell beyond.
     const int cx0 = clampi(x0 - r - 1, 0, w), cxn = clampi(xn + r + 1, 0, w);
     for (int y = clampi(y0 - r - 1, 0, h); y < clampi(yn + r + 1, 0, h); ++y)
         memset(scratch->best + y * w + cx0, 255, (size_t)(cxn - cx0));

@@ -40,12 +40,12 @@ typedef struct {
 static inline int inflation_pages(int cells) { return 5 * cells / INFLATION_PAGE + 2 * INFLATION_BINS_MAX; }
 
 typedef struct {
-    double radius, inscribed, weight;  // m, m, 1/m
-    double res;                        // m
-    int cells, bins;                   // reach in cells; distinct distances
+    double radius, inscribed, weight;                        // m, m, 1/m
+    double res;                                              // m
+    int cells, bins;                                         // reach in cells; distinct distances
     inflation_moves moves[INFLATION_SIDE * INFLATION_SIDE];  // by offset
     uint8_t cost_of_bin[INFLATION_BINS_MAX];
-    bool stamps;             // cells take the cost of their nearest obstacle; the fire misses it for 2 in 10,000
+    bool stamps;  // cells take the cost of their nearest obstacle; the fire misses it for 2 in 10,000
     uint8_t stamp[INFLATION_STAMP_ROWS * INFLATION_STAMP_WIDTH];  // costs around an obstacle, rows of stamp_width
     int stamp_width;
     bool need_reinflation;

@@ -8,39 +8,45 @@
 
 #include "wide.h"
 
-// What a stamp makes of a cell: it raises it or, taken back, frees it where it holds just what the stamp gives.
-ALWAYS_INLINE uint8_t stamped(uint8_t cell, uint8_t cost, bool back) {
-    if (back) return cell == cost ? COST_FREE : cell;
+// What a stamp makes of a cell: it raises it or, erased, clears it where it holds just what the stamp gives.
+ALWAYS_INLINE uint8_t stamped(uint8_t cell, uint8_t cost, bool erase) {
+    if (erase) return cell == cost ? COST_FREE : cell;
     return cell > cost ? cell : cost;
 }
 
-ALWAYS_INLINE void stamp_rows(uint8_t *map, int w, const uint8_t *stamp, int rows, int width, bool back) {
+ALWAYS_INLINE void stamp_rows(uint8_t *map, int w, const uint8_t *stamp, int rows, int width, bool erase) {
     for (int y = 0; y < rows; ++y)
-        for (int x = 0; x < width; ++x) map[y * w + x] = stamped(map[y * w + x], stamp[y * width + x], back);
+        for (int x = 0; x < width; ++x) map[y * w + x] = stamped(map[y * w + x], stamp[y * width + x], erase);
 }
 
 // Lays the stamp of cell (x, y) on the part of a map, w cells wide, that lies in window k.
-ALWAYS_INLINE void lay(const inflation *f, uint8_t *map, int w, grid_window k, int x, int y, bool back) {
+ALWAYS_INLINE void apply_stamp(const inflation *f, uint8_t *map, int w, grid_window k, int x, int y, bool erase) {
     const int r = f->cells, side = 2 * r + 1;
     const grid_window all = {x - r, y - r, x + r + 1, y + r + 1}, part = window_overlap(k, all);
     if (part.x0 == all.x0 && part.y0 == all.y0 && part.xn == all.xn && part.yn == all.yn) {
         uint8_t *corner = map + all.y0 * w + all.x0;
         switch (f->stamp_width) {
-            case 16: stamp_rows(corner, w, f->stamp, side, 16, back); break;
-            case 32: stamp_rows(corner, w, f->stamp, side, 32, back); break;
-            default: stamp_rows(corner, w, f->stamp, side, INFLATION_STAMP_WIDTH, back); break;
+            case 16:
+                stamp_rows(corner, w, f->stamp, side, 16, erase);
+                break;
+            case 32:
+                stamp_rows(corner, w, f->stamp, side, 32, erase);
+                break;
+            default:
+                stamp_rows(corner, w, f->stamp, side, INFLATION_STAMP_WIDTH, erase);
+                break;
         }
         return;
     }
     for (int cy = part.y0; cy < part.yn; ++cy)
         for (int cx = part.x0; cx < part.xn; ++cx) {
             const uint8_t cost = f->stamp[(cy - all.y0) * f->stamp_width + cx - all.x0];
-            map[cy * w + cx] = stamped(map[cy * w + cx], cost, back);
+            map[cy * w + cx] = stamped(map[cy * w + cx], cost, erase);
         }
 }
 
-void stamp_cell(const inflation *f, uint8_t *map, int w, int h, int cell) {
-    lay(f, map, w, (grid_window){0, 0, w, h}, cell % w, cell / w, false);
+void inflation_stamps_cell(const inflation *f, uint8_t *map, int w, int h, int cell) {
+    apply_stamp(f, map, w, (grid_window){0, 0, w, h}, cell % w, cell / w, false);
 }
 
 // One bit for each of 64 cells: lethal.
@@ -67,9 +73,9 @@ typedef struct {
     grid_window near;
     int shift;
     uint64_t rows[64];
-} tiles;
+} tile_mask;
 
-static void want(tiles *t, grid_window k) {
+static void mark_tiles(tile_mask *t, grid_window k) {
     k = window_overlap(k, t->near);
     if (window_empty(k)) return;
     const int first = (k.x0 - t->near.x0) >> t->shift, last = (k.xn - 1 - t->near.x0) >> t->shift;
@@ -78,13 +84,13 @@ static void want(tiles *t, grid_window k) {
 }
 
 typedef struct {
-    int32_t *cells;   // lethal ones from the front, those no longer lethal from the back
+    int32_t *cells;  // lethal ones from the front, those no longer lethal from the back
     int count, gone;
 } lethal_list;
 
-// Finds the lethal cells near the window and wants those that were not.
-static lethal_list compare(inflation_scratch *scratch, const uint8_t *layer, const uint8_t *map, int w, int h,
-                           grid_window window, tiles *t) {
+// Finds the lethal cells near the window and marks the tiles of those that were not.
+static lethal_list find_changes(inflation_scratch *scratch, const uint8_t *layer, const uint8_t *map, int w, int h,
+                                grid_window window, tile_mask *t) {
     lethal_list l = {.cells = scratch->lethal};
     int32_t *end = scratch->lethal + (ptrdiff_t)w * h;
     const grid_window near = t->near;
@@ -101,41 +107,45 @@ static lethal_list compare(inflation_scratch *scratch, const uint8_t *layer, con
             for (uint64_t left = was & ~now; left; left &= left - 1) end[-++l.gone] = at + __builtin_ctzll(left);
             for (uint64_t left = now & ~was; left; left &= left - 1) {
                 const int cx = x + __builtin_ctzll(left);
-                want(t, (grid_window){cx, y, cx + 1, y + 1});
+                mark_tiles(t, (grid_window){cx, y, cx + 1, y + 1});
             }
         }
     return l;
 }
 
-static void renew(const uint8_t *layer, uint8_t *map, int w, int reach, grid_window window, grid_window k, tiles *t) {
+static void update_part(const uint8_t *layer, uint8_t *map, int w, int reach, grid_window window, grid_window k,
+                        tile_mask *t) {
     if (window_empty(k)) return;
-    want(t, window_grown(k, reach));
+    mark_tiles(t, window_grown(k, reach));
     k = window_overlap(k, window);
     for (int y = k.y0; y < k.yn && k.x0 < k.xn; ++y)
         memcpy(map + y * w + k.x0, layer + y * w + k.x0, (size_t)(k.xn - k.x0));
 }
 
-void stamps_renew(const inflation *f, inflation_scratch *scratch, const uint8_t *layer, uint8_t *map, int w, int h,
-                  grid_window window, grid_window exact, grid_window freed) {
+void inflation_stamps_update(const inflation *f, inflation_scratch *scratch, const uint8_t *layer, uint8_t *map, int w,
+                             int h, grid_window window, grid_window exact, grid_window cleared) {
     const int r = f->cells;
     const grid_window k = window, e = window_overlap(exact, window);
-    tiles t = {.near = window_overlap(window_grown(window, r), (grid_window){0, 0, w, h}), .shift = 3};
+    tile_mask t = {.near = window_overlap(window_grown(window, r), (grid_window){0, 0, w, h}), .shift = 3};
     const int columns = t.near.xn - t.near.x0, rows = t.near.yn - t.near.y0, side = columns > rows ? columns : rows;
     while ((side - 1) >> t.shift >= 64) ++t.shift;
 
-    const lethal_list l = compare(scratch, layer, map, w, h, window, &t);
+    const lethal_list l = find_changes(scratch, layer, map, w, h, window, &t);
     const int32_t *end = scratch->lethal + (ptrdiff_t)w * h;
     for (int i = 1; i <= l.gone; ++i) {
         const int y = end[-i] / w, x = end[-i] - y * w;
-        lay(f, map, w, window, x, y, true);
-        want(&t, window_grown((grid_window){x, y, x + 1, y + 1}, 2 * r));
+        apply_stamp(f, map, w, window, x, y, true);
+        mark_tiles(&t, window_grown((grid_window){x, y, x + 1, y + 1}, 2 * r));
     }
-    const grid_window parts[5] = {{k.x0, k.y0, k.xn, e.y0}, {k.x0, e.yn, k.xn, k.yn}, {k.x0, e.y0, e.x0, e.yn},
-                                  {e.xn, e.y0, k.xn, e.yn}, freed};
-    for (int i = 0; i < 5; ++i) renew(layer, map, w, r, window, parts[i], &t);
+    const grid_window parts[5] = {{k.x0, k.y0, k.xn, e.y0},
+                                  {k.x0, e.yn, k.xn, k.yn},
+                                  {k.x0, e.y0, e.x0, e.yn},
+                                  {e.xn, e.y0, k.xn, e.yn},
+                                  cleared};
+    for (int i = 0; i < 5; ++i) update_part(layer, map, w, r, window, parts[i], &t);
     for (int i = 0; i < l.count; ++i) {
         const int y = l.cells[i] / w, x = l.cells[i] - y * w;
         const uint64_t row = t.rows[(y - t.near.y0) >> t.shift];
-        if (row >> ((x - t.near.x0) >> t.shift) & 1) stamp_cell(f, map, w, h, l.cells[i]);
+        if (row >> ((x - t.near.x0) >> t.shift) & 1) inflation_stamps_cell(f, map, w, h, l.cells[i]);
     }
 }

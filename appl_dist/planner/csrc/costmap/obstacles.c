@@ -5,8 +5,8 @@
 enum { CHUNK = OBSERVATION_PADDING };  // beams worked on together
 
 // A beam that leaves the map: cut at its edges, as ObstacleLayer::raytraceFreespace does. False where nothing is left.
-static bool cut_at_edges(const grid_frame *g, const observation *seen, double end_x, double end_y, double *x,
-                         double *y, int *cx, int *cy) {
+static bool cut_at_edges(const grid_frame *g, const observation *seen, double end_x, double end_y, double *x, double *y,
+                         int *cx, int *cy) {
     double wx = *x, wy = *y;
     const double a = wx - seen->ox, c = wy - seen->oy;
     if (wx < g->ox) {
@@ -31,11 +31,11 @@ static bool cut_at_edges(const grid_frame *g, const observation *seen, double en
 
 // Beams CHUNK at a time, the last chunk filled up with beams that end nowhere.
 typedef struct {
-    double x[CHUNK], y[CHUNK];   // m, where the beams end on the map
-    double square[CHUNK];        // m^2 from the sensor; infinite off the map
-    double cx[CHUNK], cy[CHUNK]; // cells, not rounded; -1 off the map
+    double x[CHUNK], y[CHUNK];    // m, where the beams end on the map
+    double square[CHUNK];         // m^2 from the sensor; infinite off the map
+    double cx[CHUNK], cy[CHUNK];  // cells, not rounded; -1 off the map
     int32_t cell[CHUNK];
-    bool cut;                    // some left the map and were cut
+    bool cut;  // some left the map and were cut
 } beams;
 
 WIDE static void find_cells(const grid_frame *g, const observation *seen, int from, int count, beams *p) {
@@ -66,14 +66,16 @@ WIDE static void find_cells(const grid_frame *g, const observation *seen, int fr
 }
 
 // Loops of one plain operation each, so that they become vector code.
-ALWAYS_INLINE void widen_axis(const double *v, const double *square, double reach, double *low, double *high) {
+ALWAYS_INLINE void extend_axis(const double *v, const double *square, double reach, double *low, double *high) {
     double a[CHUNK], b[CHUNK];
     for (int i = 0; i < CHUNK; ++i) a[i] = square[i] < reach ? v[i] : INFINITY;
     for (int i = 0; i < CHUNK; ++i) b[i] = square[i] < reach ? v[i] : -INFINITY;
-#define FOLD(n)                                                                \
+#define FOLD(n)                                                                 \
     for (int i = 0; i < (n); ++i) a[i] = a[i + (n)] < a[i] ? a[i + (n)] : a[i]; \
     for (int i = 0; i < (n); ++i) b[i] = b[i + (n)] > b[i] ? b[i + (n)] : b[i];
-    FOLD(CHUNK / 2) FOLD(CHUNK / 4) FOLD(CHUNK / 8)
+    FOLD(CHUNK / 2)
+    FOLD(CHUNK / 4)
+    FOLD(CHUNK / 8)
 #undef FOLD
     for (int i = 0; i < CHUNK / 8; ++i) {
         *low = a[i] < *low ? a[i] : *low;
@@ -82,16 +84,16 @@ ALWAYS_INLINE void widen_axis(const double *v, const double *square, double reac
 }
 
 // Widens `b` by the ends of the beams nearer than `reach` (m^2).
-WIDE static void widen(const beams *p, double reach, bounds *b) {
-    widen_axis(p->x, p->square, reach, &b->min_x, &b->max_x);
-    widen_axis(p->y, p->square, reach, &b->min_y, &b->max_y);
+WIDE static void extend_bounds(const beams *p, double reach, bounds *b) {
+    extend_axis(p->x, p->square, reach, &b->min_x, &b->max_x);
+    extend_axis(p->y, p->square, reach, &b->min_y, &b->max_y);
 }
 
-// Widens `b` by how far the beams free. Only the extremes of those beyond the range are worth a hypot.
-static void touch_beams(const observation *seen, double range, int count, const beams *p, bounds *b) {
+// Widens `b` by how far the beams clear. Only the extremes of those beyond the range are worth a hypot.
+static void extend_by_clearing(const observation *seen, double range, int count, const beams *p, bounds *b) {
     const double sx = seen->ox, sy = seen->oy, far = 0.999 * range * range, close = 1e-6;
     bounds ends = {INFINITY, INFINITY, -INFINITY, -INFINITY};
-    widen(p, far, &ends);
+    extend_bounds(p, far, &ends);
     if (ends.min_x <= ends.max_x) {  // rounding keeps order: the extremes stay the extremes
         bounds_touch(b, sx + (ends.min_x - sx), sy + (ends.min_y - sy));
         bounds_touch(b, sx + (ends.max_x - sx), sy + (ends.max_y - sy));
@@ -138,8 +140,8 @@ static int mark_cut(const grid_frame *g, const observation *seen, int from, int 
 
 void obstacles_observe(uint8_t *layer, const grid_frame *g, const observation *seen, double raytrace_range,
                        double obstacle_range, bounds *b) {
-    line_fan fan = {.lines = seen->lines, .reach = cell_distance(raytrace_range, g->res)};
-    const bool on_map = world_to_map(g, seen->ox, seen->oy, &fan.x0, &fan.y0);
+    raytrace_clearing clearing = {.lines = seen->lines, .reach = cell_distance(raytrace_range, g->res)};
+    const bool on_map = world_to_map(g, seen->ox, seen->oy, &clearing.x0, &clearing.y0);
     if (on_map) bounds_touch(b, seen->ox, seen->oy);
     const double near = obstacle_range * obstacle_range;
     int marks = 0, last_line = -1, last_mark = -1;
@@ -147,11 +149,11 @@ void obstacles_observe(uint8_t *layer, const grid_frame *g, const observation *s
         const int count = seen->count - from < CHUNK ? seen->count - from : CHUNK;
         beams p;
         find_cells(g, seen, from, count, &p);
-        if (on_map) touch_beams(seen, raytrace_range, count, &p, b);
+        if (on_map) extend_by_clearing(seen, raytrace_range, count, &p, b);
         // Neighbouring beams often end in the same cell.
         for (int i = 0; i < count && on_map; ++i) {
             if (p.cell[i] == last_line || p.cx[i] < 0) continue;
-            fan_add(&fan, (int)p.cx[i], (int)p.cy[i]);
+            raytrace_clearing_add(&clearing, (int)p.cx[i], (int)p.cy[i]);
             last_line = p.cell[i];
         }
         if (p.cut) {
@@ -163,10 +165,10 @@ void obstacles_observe(uint8_t *layer, const grid_frame *g, const observation *s
             if (p.cell[i] == last_mark || !(p.square[i] < near)) continue;
             seen->marks[marks++] = last_mark = p.cell[i];
         }
-        widen(&p, near, b);
+        extend_bounds(&p, near, b);
     }
-    // What is marked again need not be looked at; most cells are.
+    // What is marked again need not be tested; most cells are.
     for (int i = 0; i < marks; ++i) layer[seen->marks[i]] = COST_FREE;
-    if (on_map) fan_free(&fan, layer, g->w, g->h);
+    if (on_map) raytrace_clearing_run(&clearing, layer, g->w, g->h);
     for (int i = 0; i < marks; ++i) layer[seen->marks[i]] = COST_LETHAL;
 }

@@ -1,4 +1,4 @@
-// The obstacle layer of a costmap (costmap_2d::ObstacleLayer): a scan frees the cells its beams pass, then marks those
+// The obstacle layer of a costmap (costmap_2d::ObstacleLayer): a scan clears the cells its beams pass, then marks those
 // they end in.
 #pragma once
 #include "raytrace_clearing.h"
@@ -8,11 +8,11 @@ enum { OBSERVATION_PADDING = 64 };
 
 // One lidar scan as points. Points are float32, as in the PointCloud2 that carries them in ROS.
 typedef struct {
-    double ox, oy;    // m, odom: the sensor
-    float *x, *y;     // (count) m, odom
+    double ox, oy;  // m, odom: the sensor
+    float *x, *y;   // (count) m, odom
     int count;
-    int32_t *marks;   // (beams) scratch: cells to mark
-    fan_line *lines;  // (beams) scratch: cells to free
+    int32_t *marks;        // (beams) scratch: cells to mark
+    raytrace_line *lines;  // (beams) scratch: lines of cells to clear
 } observation;
 
 typedef struct {
@@ -28,6 +28,6 @@ static inline void bounds_touch(bounds *b, double x, double y) {
 
 // Bytes that may be read beyond a layer's last cell.
 enum { LAYER_PADDING = 64 };
-// Frees and marks cells of `layer` (h, w) and widens `b` by what the scan may have changed. Ranges in m.
+// Clears and marks cells of `layer` (h, w) and widens `b` by what the scan may have changed. Ranges in m.
 void obstacles_observe(uint8_t *layer, const grid_frame *g, const observation *seen, double raytrace_range,
                        double obstacle_range, bounds *b);

@@ -9,36 +9,37 @@ static inline float direction(int dx, int dy) {
     return aside / main + (along_x ? 1.0f : 3.0f) + (main > 0 ? 0.0f : 4.0f);
 }
 
-// 0.5 (1 + 1 / far) / far + 0.001 <= FAN_AROUND sectors of 8 / FAN_SECTORS
-enum { FAN_CLEAR = 13 };
+// 0.5 (1 + 1 / far) / far + 0.001 <= RAYTRACE_SECTORS_AROUND sectors of 8 / RAYTRACE_SECTORS
+enum { RAYTRACE_FAR_CELLS = 13 };
 
-static inline int sector_of(float direction) { return (int)(direction * (FAN_SECTORS / 8)); }
+static inline int sector_of(float direction) { return (int)(direction * (RAYTRACE_SECTORS / 8)); }
 
 static int longer(int dx, int dy) { return abs(dx) > abs(dy) ? abs(dx) : abs(dy); }
 
-static void sort_by_direction(line_fan *f) {
+static void sort_by_direction(raytrace_clearing *f) {
     memset(f->first, -1, sizeof f->first);
     memset(f->longest, 0, sizeof f->longest);
     for (int i = 0; i < f->count; ++i) {
-        fan_line *l = &f->lines[i];
+        raytrace_line *l = &f->lines[i];
         if (l->dx == 0 && l->dy == 0) continue;
-        const int sector = sector_of(direction(l->dx, l->dy)) & (FAN_SECTORS - 1);
+        const int sector = sector_of(direction(l->dx, l->dy)) & (RAYTRACE_SECTORS - 1);
         const int far = longer(l->dx, l->dy), steps = far < f->reach ? far : f->reach;
         l->next = f->first[sector];
         f->first[sector] = i;
         if (steps > f->longest[sector]) f->longest[sector] = (int16_t)steps;
     }
-    int16_t ring[FAN_SECTORS + 2 * FAN_AROUND];
-    memcpy(ring + FAN_AROUND, f->longest, sizeof f->longest);
-    memcpy(ring, f->longest + FAN_SECTORS - FAN_AROUND, FAN_AROUND * sizeof *ring);
-    memcpy(ring + FAN_AROUND + FAN_SECTORS, f->longest, FAN_AROUND * sizeof *ring);
+    int16_t ring[RAYTRACE_SECTORS + 2 * RAYTRACE_SECTORS_AROUND];
+    memcpy(ring + RAYTRACE_SECTORS_AROUND, f->longest, sizeof f->longest);
+    memcpy(ring, f->longest + RAYTRACE_SECTORS - RAYTRACE_SECTORS_AROUND, RAYTRACE_SECTORS_AROUND * sizeof *ring);
+    memcpy(ring + RAYTRACE_SECTORS_AROUND + RAYTRACE_SECTORS, f->longest, RAYTRACE_SECTORS_AROUND * sizeof *ring);
     memset(f->around, 0, sizeof f->around);
-    for (int k = 0; k <= 2 * FAN_AROUND; ++k)
-        for (int i = 0; i < FAN_SECTORS; ++i) f->around[i] = f->around[i] > ring[i + k] ? f->around[i] : ring[i + k];
+    for (int k = 0; k <= 2 * RAYTRACE_SECTORS_AROUND; ++k)
+        for (int i = 0; i < RAYTRACE_SECTORS; ++i)
+            f->around[i] = f->around[i] > ring[i + k] ? f->around[i] : ring[i + k];
 }
 
 // Steps of a line cut at the reach.
-static int steps_of(const fan_line *l, int far, int reach) {
+static int steps_of(const raytrace_line *l, int far, int reach) {
     const int square = l->dx * l->dx + l->dy * l->dy;
     if (square < reach * reach) return far;
     const double steps = fmin(1.0, reach / sqrt(square)) * far;
@@ -47,7 +48,7 @@ static int steps_of(const fan_line *l, int far, int reach) {
 }
 
 // Step i of a line is (far / 2 + i near) / far cells aside: grid_line in closed form.
-static inline bool passes(const line_fan *f, const fan_line *l, int dx, int dy) {
+static inline bool crosses(const raytrace_clearing *f, const raytrace_line *l, int dx, int dy) {
     const bool along_x = abs(l->dx) >= abs(l->dy);
     const int main = along_x ? l->dx : l->dy, other = along_x ? l->dy : l->dx;
     const int far = abs(main), near = abs(other);
@@ -57,26 +58,26 @@ static inline bool passes(const line_fan *f, const fan_line *l, int dx, int dy) 
     return i <= steps_of(l, far, f->reach);
 }
 
-// A line passes a cell i steps away no more than half a cell, and half a part in far >= i, beside its middle.
-static inline bool is_passed(const line_fan *f, int dx, int dy) {
+// A line crosses a cell i steps away no more than half a cell, and half a part in far >= i, beside its middle.
+static inline bool is_crossed(const raytrace_clearing *f, int dx, int dy) {
     const int far = longer(dx, dy);
     if (far == 0) return true;
     const float at = direction(dx, dy) + 8.0f;
-    // From FAN_CLEAR cells on all of them are in the sectors around.
-    if (far >= FAN_CLEAR && f->around[sector_of(at) & (FAN_SECTORS - 1)] < far) return false;
+    // From RAYTRACE_FAR_CELLS on all of them are in the sectors around.
+    if (far >= RAYTRACE_FAR_CELLS && f->around[sector_of(at) & (RAYTRACE_SECTORS - 1)] < far) return false;
     const float per_far = 1.0f / (float)far;
     const float width = 0.5f * (1.0f + per_far) * per_far + 1e-3f;
     const int last = sector_of(at + width);
     for (int s = sector_of(at - width); s <= last; ++s) {
-        const int sector = s & (FAN_SECTORS - 1);
+        const int sector = s & (RAYTRACE_SECTORS - 1);
         if (f->longest[sector] < far) continue;
         for (int32_t k = f->first[sector]; k >= 0; k = f->lines[k].next)
-            if (passes(f, &f->lines[k], dx, dy)) return true;
+            if (crosses(f, &f->lines[k], dx, dy)) return true;
     }
     return false;
 }
 
-void fan_free(line_fan *f, uint8_t *layer, int w, int h) {
+void raytrace_clearing_run(raytrace_clearing *f, uint8_t *layer, int w, int h) {
     enum { RUN = 32 };
     if (f->count == 0) return;
     sort_by_direction(f);
@@ -93,7 +94,7 @@ void fan_free(line_fan *f, uint8_t *layer, int w, int h) {
                 for (uint64_t left = cells[k]; left;) {
                     const int byte = __builtin_ctzll(left) >> 3, x = from + 8 * k + byte;  // the lowest comes first
                     left &= ~(UINT64_C(0xff) << (8 * byte));
-                    if (x <= last && is_passed(f, x - f->x0, y - f->y0)) row[x] = COST_FREE;
+                    if (x <= last && is_crossed(f, x - f->x0, y - f->y0)) row[x] = COST_FREE;
                 }
             }
         }

@@ -26,7 +26,7 @@ void navfn_init(navfn *n) {
 }
 
 void navfn_restart(navfn *n) {
-    navfn_forget(n);
+    navfn_clear_potential(n);
     n->fresh = false;
     n->plan_count = 0;
     n->goal_potential = 0;
@@ -34,7 +34,7 @@ void navfn_restart(navfn *n) {
 }
 
 // Whether the last wave came to the cell or beside it.
-static bool seen(const navfn *n, int i) {
+static bool wave_reached(const navfn *n, int i) {
     const float *p = n->potential;
     const float least = fminf(fminf(p[i - 1], p[i + 1]), fminf(p[i - n->w], p[i + n->w]));
     return fminf(least, p[i]) < NAVFN_NONE;
@@ -59,7 +59,7 @@ void navfn_sync(navfn *n, const uint8_t *master, grid_window k) {
                 if (n->cost[i] == c) continue;
                 n->cost[i] = c;
                 n->step[i] = n->step_of[c];
-                n->fresh = n->fresh && !seen(n, i);
+                n->fresh = n->fresh && !wave_reached(n, i);
             }
         }
 }

@@ -44,7 +44,7 @@ int navfn_follow(navfn *n, int start, int goal) {
         ++count;
         bool edge = count > 2 && n->path_x[count - 1] == n->path_x[count - 3] &&
                     n->path_y[count - 1] == n->path_y[count - 3];  // swinging between two points
-        if (at == w || at == cells - w) return count;  // a corner of the ring: no eight neighbours
+        if (at == w || at == cells - w) return count;              // a corner of the ring: no eight neighbours
         if (at != known) {
             edge = edge || p[at] >= NAVFN_NONE;
             for (int k = 0; k < 8; ++k) edge = edge || p[at + ring_y[k] * w + ring_x[k]] >= NAVFN_NONE;

@@ -31,8 +31,8 @@ static inline float planar_wave_single(float across, float along, float cost, fl
 // 0.3 mm, differ with a margin of 1300, none with 1600. A bound from a wave rooted at the goal does not help: even one
 // without any error needs this width, and then saves only a tenth of the cells.
 #define RISE_PER_CELL 49.0f
-#define SLACK 100.0f  // the wave is done again where the guess was too low by more
-#define WIDER 1500.0f
+#define BOUND_SLACK 100.0f  // the wave is done again where the guess was too low by more
+#define BOUND_STEP 1500.0f
 
 static void measure_remaining(navfn *n, int goal) {
     const int gx = goal % n->w, gy = goal / n->w;
@@ -52,7 +52,7 @@ typedef struct {
     int count;
 } buffer;
 
-static inline void take_out(navfn *n, int cell) { n->step[cell] = n->step_of[n->cost[cell]]; }
+static inline void remove_from_buffer(navfn *n, int cell) { n->step[cell] = n->step_of[n->cost[cell]]; }
 
 // Gives the cells in `now` their lower potentials, and their neighbours places in `next` or `over`.
 static inline void update_cells(navfn *n, const buffer *now, float threshold, buffer *next, buffer *over, bool single) {
@@ -71,8 +71,8 @@ static inline void update_cells(navfn *n, const buffer *now, float threshold, bu
         const float across = beside[0] < beside[1] ? beside[0] : beside[1];
         const float along = beside[2] < beside[3] ? beside[2] : beside[3];
         const uint8_t cost = costs[i];
-        const float potential = single ? planar_wave_single(across, along, cost, n->per_cost[cost])
-                                       : planar_wave(across, along, cost);
+        const float potential =
+            single ? planar_wave_single(across, along, cost, n->per_cost[cost]) : planar_wave(across, along, cost);
         const float before = p[i];
         if (!(potential < before) || !(potential + remain[i] <= bound)) continue;
         *reached = i;
@@ -86,14 +86,14 @@ static inline void update_cells(navfn *n, const buffer *now, float threshold, bu
             cells[end++] = around[j];
             step[around[j]] = INFINITY;
         }
-        for (; end > NAVFN_BUFFER; --end) take_out(n, cells[end - 1]);  // no room
+        for (; end > NAVFN_BUFFER; --end) remove_from_buffer(n, cells[end - 1]);  // no room
         count[far] = end;
     }
     next->count = count[0], over->count = count[1];
     n->reached_count = (int)(reached - n->reached);
 }
 
-void navfn_forget(navfn *n) {
+void navfn_clear_potential(navfn *n) {
     for (int k = 0; k < n->reached_count; ++k) n->potential[n->reached[k]] = NAVFN_NONE;
     n->reached_count = 0;
 }
@@ -101,7 +101,7 @@ void navfn_forget(navfn *n) {
 static void propagate(navfn *n, int start, int goal) {
     buffer now = {n->buffers[0], 0}, next = {n->buffers[1], 0}, over = {n->buffers[2], 0};
     float threshold = FIRST_THRESHOLD;
-    navfn_forget(n);
+    navfn_clear_potential(n);
     n->potential[start] = 0;
     n->reached[n->reached_count++] = start;
     const int around[4] = {start + 1, start - 1, start - n->w, start + n->w};
@@ -110,7 +110,7 @@ static void propagate(navfn *n, int start, int goal) {
             now.cells[now.count++] = around[k];
     const int area = n->w * n->h / 20, cycles = area > n->w + n->h ? area : n->w + n->h;
     for (int cycle = 0; cycle < cycles && (now.count || next.count); ++cycle) {
-        for (int k = 0; k < now.count; ++k) take_out(n, now.cells[k]);
+        for (int k = 0; k < now.count; ++k) remove_from_buffer(n, now.cells[k]);
         if (n->single) update_cells(n, &now, threshold, &next, &over, true);
         else update_cells(n, &now, threshold, &next, &over, false);
         n->cells += now.count;
@@ -125,7 +125,7 @@ static void propagate(navfn *n, int start, int goal) {
     }
     const buffer left[3] = {now, next, over};
     for (int b = 0; b < 3; ++b)
-        for (int k = 0; k < left[b].count; ++k) take_out(n, left[b].cells[k]);
+        for (int k = 0; k < left[b].count; ++k) remove_from_buffer(n, left[b].cells[k]);
 }
 
 bool navfn_wave(navfn *n, int start, int goal) {
@@ -133,8 +133,8 @@ bool navfn_wave(navfn *n, int start, int goal) {
     // What the last plan needed; in single precision less what the robot has covered of it since. Exactness keeps
     // that width.
     const float covered = n->single && n->potential[start] < n->goal_potential ? n->potential[start] : 0;
-    const float guess = n->goal_potential > 0 ? n->goal_potential - covered + SLACK
-                                              : 56.0f / RISE_PER_CELL * n->remain[start];
+    const float guess =
+        n->goal_potential > 0 ? n->goal_potential - covered + BOUND_SLACK : 56.0f / RISE_PER_CELL * n->remain[start];
     n->bound = n->whole ? NAVFN_NONE : guess + n->margin;
     n->cells = 0;
     bool wider = false;
@@ -143,7 +143,9 @@ bool navfn_wave(navfn *n, int start, int goal) {
         const float reached = n->potential[goal];
         if (n->bound >= NAVFN_NONE || reached + n->margin <= n->bound) break;
         // A goal not reached may be a long way round, or behind walls: in the end the wave is the whole one.
-        n->bound = reached < NAVFN_NONE ? reached + n->margin + SLACK : wider ? NAVFN_NONE : n->bound + WIDER;
+        n->bound = reached < NAVFN_NONE ? reached + n->margin + BOUND_SLACK
+                   : wider              ? NAVFN_NONE
+                                        : n->bound + BOUND_STEP;
         wider = true;
     }
     const bool reached = n->potential[goal] < NAVFN_NONE;

@@ -5,4 +5,4 @@
 // A new wave from the robot's cell, within a bound around what the last plan needed, widened until the goal's potential
 // is well inside. False where the wave does not come to the goal.
 bool navfn_wave(navfn *n, int start, int goal);
-void navfn_forget(navfn *n);  // takes all potentials back
+void navfn_clear_potential(navfn *n);  // resets the potential of every cell reached

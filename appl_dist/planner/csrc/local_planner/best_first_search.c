@@ -15,23 +15,23 @@ static int start_cost(rollout_planner *p, const motion *m) {
 }
 
 // A bound from what the waves know already; INFINITY where the last point cannot be legal.
-static double wave_bound(const rollout_planner *p, sample_block *b, int i) {
+static double distance_bound(const rollout_planner *p, sample_block *b, int i) {
     const int x = b->cx[i], y = b->cy[i], straight = abs(x - p->goal_column) + abs(y - p->goal_row);
     b->path[i] = wavefront_at_least(&p->path, x, y);
     b->goal[i] = wavefront_at_least(&p->goal, x, y);
     if (b->path[i] >= WAVE_LIMIT || b->goal[i] >= WAVE_LIMIT) return INFINITY;
     b->goal[i] = straight > b->goal[i] ? straight : b->goal[i];
-    if (wavefront_known(&p->path, x, y) && wavefront_known(&p->goal, x, y)) b->stage[i] = TO_LOOK;
+    if (wavefront_known(&p->path, x, y) && wavefront_known(&p->goal, x, y)) b->stage[i] = SAMPLE_NEEDS_REFINING;
     return total_cost(p, b->path[i], b->goal[i], b->occ[i]);
 }
 
 static double first_bound(const rollout_planner *p, sample_block *b, int i) {
     b->occ[i] = p->search.start_occ;
-    look_start(b, i);
+    refine_start(b, i);
     if (b->known[i] == 0) return INFINITY;
-    b->stage[i] = b->known[i] == 1 ? TO_WAVES : TO_STEP;
-    if (b->known[i] == 1) return wave_bound(p, b, i);
-    if (b->known[i] == SAMPLE_ASTRAY) return 0;
+    b->stage[i] = b->known[i] == 1 ? SAMPLE_NEEDS_DISTANCES : SAMPLE_NEEDS_SIMULATION;
+    if (b->known[i] == 1) return distance_bound(p, b, i);
+    if (b->known[i] == SAMPLE_NO_ARC) return 0;
     // In this cell or one beside it: at most one column and one row nearer.
     const int straight = abs(b->cx[i] - p->goal_column) + abs(b->cy[i] - p->goal_row) - 2;
     return total_cost(p, 0, straight > 0 ? straight : 0, b->occ[i]);
@@ -39,7 +39,7 @@ static double first_bound(const rollout_planner *p, sample_block *b, int i) {
 
 // Bounds of all samples. No winner is nearer to the goal than the nearest end is on a free map.
 static void first_bounds(rollout_planner *p) {
-    sample_search *s = &p->search;
+    best_first_scratch *s = &p->search;
     int nearest = WAVE_LIMIT;
     for (int at = 0; at < s->used; ++at) {
         const sample_block *b = &s->blocks[at / SAMPLE_LANES];
@@ -50,59 +50,65 @@ static void first_bounds(rollout_planner *p) {
     if (nearest < WAVE_LIMIT) wavefront_grow_to(&p->goal, nearest), wavefront_grow_to(&p->path, SURE_PATH_LEVEL);
     for (int at = 0; at < s->used; ++at)
         s->bounds.level[0][at] = first_bound(p, &s->blocks[at / SAMPLE_LANES], at % SAMPLE_LANES);
-    lowest_build(&s->bounds, s->used);
+    minimum_tree_build(&s->bounds, s->used);
 }
 
 // A bound of the sample as sharp as the waves allow without growing, or else with one of them grown to its last point.
-static double sharpen_waves(rollout_planner *p, sample_block *b, int i, double now) {
-    const double sharper = wave_bound(p, b, i);
-    if (sharper > now || b->stage[i] == TO_LOOK) return sharper;
+static double sharpen_by_distances(rollout_planner *p, sample_block *b, int i, double now) {
+    const double sharper = distance_bound(p, b, i);
+    if (sharper > now || b->stage[i] == SAMPLE_NEEDS_REFINING) return sharper;
     wavefront_distance(wavefront_known(&p->path, b->cx[i], b->cy[i]) ? &p->goal : &p->path, b->cx[i], b->cy[i]);
-    return wave_bound(p, b, i);
+    return distance_bound(p, b, i);
 }
 
 // Looks at the sample for as long as no other has a lower bound.
-static double sharpen_look(rollout_planner *p, const motion *m, sample_block *b, int i, int at) {
-    sample_search *s = &p->search;
+static double sharpen_by_refining(rollout_planner *p, const motion *m, sample_block *b, int i, int at) {
+    best_first_scratch *s = &p->search;
     b->bound[i] = s->bounds.level[0][at];
-    lowest_set(&s->bounds, at, INFINITY);
-    const int next = lowest_first(&s->bounds);
-    const verdict found = look(p, m, b, i, s->bounds.level[0][next], at > next);
-    if (found == UNDECIDED) b->stage[i] = TO_STEP;
-    if (found == DONE) b->stage[i] = SCORED;
-    return found == ILLEGAL ? INFINITY : b->bound[i];
+    minimum_tree_set(&s->bounds, at, INFINITY);
+    const int next = minimum_tree_first(&s->bounds);
+    const refine_result found = refine_bound(p, m, b, i, s->bounds.level[0][next], at > next);
+    if (found == REFINE_UNDECIDED) b->stage[i] = SAMPLE_NEEDS_SIMULATION;
+    if (found == REFINE_EXACT) b->stage[i] = SAMPLE_SCORED;
+    return found == REFINE_ILLEGAL ? INFINITY : b->bound[i];
 }
 
 // Finds the first of the cheapest samples in the blocks.
-static void settle(rollout_planner *p, const motion *m, rollout *best) {
-    sample_search *s = &p->search;
+static void search_blocks(rollout_planner *p, const motion *m, rollout *best) {
+    best_first_scratch *s = &p->search;
     first_bounds(p);
     for (;;) {
-        const int at = lowest_first(&s->bounds), i = at % SAMPLE_LANES;
+        const int at = minimum_tree_first(&s->bounds), i = at % SAMPLE_LANES;
         sample_block *b = &s->blocks[at / SAMPLE_LANES];
         const double bound = s->bounds.level[0][at];
         if (bound == INFINITY || (best->cost >= 0 && bound >= best->cost)) return;  // earlier samples win ties
         double sharper = INFINITY;
         switch ((sample_stage)b->stage[i]) {
-            case SCORED: best->v = b->v[i], best->w = b->w[i], best->cost = bound; return;
-            case TO_WAVES: sharper = sharpen_waves(p, b, i, bound); break;
-            case TO_LOOK: sharper = sharpen_look(p, m, b, i, at); break;
-            case TO_STEP:
-                sharper = step_through(p, m, b->v[i], b->w[i], &p->probe);
+            case SAMPLE_SCORED:
+                best->v = b->v[i], best->w = b->w[i], best->cost = bound;
+                return;
+            case SAMPLE_NEEDS_DISTANCES:
+                sharper = sharpen_by_distances(p, b, i, bound);
+                break;
+            case SAMPLE_NEEDS_REFINING:
+                sharper = sharpen_by_refining(p, m, b, i, at);
+                break;
+            case SAMPLE_NEEDS_SIMULATION:
+                sharper = simulate_cost(p, m, b->v[i], b->w[i], &p->probe);
                 if (sharper < 0) sharper = INFINITY;
-                b->stage[i] = SCORED;
+                b->stage[i] = SAMPLE_SCORED;
         }
-        lowest_set(&s->bounds, at, sharper);
+        minimum_tree_set(&s->bounds, at, sharper);
     }
 }
 
 // The forward samples in ROS's order, as many as there are lanes for: each speed with rate 0, then with the rates but
 // the highest.
 static void next_samples(rollout_planner *p, const motion *m, const sample_window *k) {
-    sample_search *s = &p->search;
+    best_first_scratch *s = &p->search;
     s->used = 0;
     for (; s->row < k->nv; ++s->row, s->v += k->dv, s->column = 0) {
-        for (; s->column < k->nw && s->used < SEARCH_BLOCKS * SAMPLE_LANES; ++s->column, ++s->used) {
+        for (; s->column < k->nw && s->used < FORWARD_BLOCKS * SAMPLE_LANES; ++s->column, ++s->used) {
             double w = 0;
             if (s->column == 1) w = s->w = k->min_w;
             if (s->column > 1) w = s->w += k->dw;
@@ -115,18 +121,18 @@ static void next_samples(rollout_planner *p, const motion *m, const sample_windo
         sample_block *b = &s->blocks[at / SAMPLE_LANES];
         b->v[at % SAMPLE_LANES] = b->v[0], b->w[at % SAMPLE_LANES] = b->w[0];
     }
-    for (int at = 0; at < s->used; at += SAMPLE_LANES) samples_roll(&s->blocks[at / SAMPLE_LANES], p, m);
+    for (int at = 0; at < s->used; at += SAMPLE_LANES) velocity_samples_rollout(&s->blocks[at / SAMPLE_LANES], p, m);
     p->rollouts += s->used;
     for (int at = 0; at < s->used; ++at) p->rollout_steps += s->blocks[at / SAMPLE_LANES].steps[at % SAMPLE_LANES];
 }
 
-grid_box search_start(rollout_planner *p, const motion *m, const sample_window *k, bool forward) {
-    sample_search *s = &p->search;
+grid_box best_first_start(rollout_planner *p, const motion *m, const sample_window *k, bool forward) {
+    best_first_scratch *s = &p->search;
     const grid_frame *g = &p->frame;
     const int x = world_to_map_clamped(m->x, g->ox, g->w, g->res), y = world_to_map_clamped(m->y, g->oy, g->h, g->res);
     const double braking = m->v * m->v / p->set->acc_lim_x;
     const int near = 2 + (int)fmin(g->w, (fabs(p->set->heading_lookahead) + braking) / g->res);
-    grid_box box = {x - near, y - near, x + near, y + near};  // where turns end and look
+    grid_box box = {x - near, y - near, x + near, y + near};  // where turns end and look ahead to
     s->row = s->column = s->used = 0;
     s->v = k->min_v;
     if (forward) next_samples(p, m, k);
@@ -142,12 +148,12 @@ grid_box search_start(rollout_planner *p, const motion *m, const sample_window *
     return box;
 }
 
-void search_best(rollout_planner *p, const motion *m, const sample_window *k, bool forward, rollout *best) {
+void best_first_search(rollout_planner *p, const motion *m, const sample_window *k, bool forward, rollout *best) {
     p->search.start_occ = start_cost(p, m);
     const bool possible = p->search.start_occ >= 0;
     while (forward && p->search.used > 0) {
-        if (possible) settle(p, m, best);
+        if (possible) search_blocks(p, m, best);
         next_samples(p, m, k);
     }
-    turns_try(p, m, k, possible, best);
+    in_place_turns_try(p, m, k, possible, best);
 }

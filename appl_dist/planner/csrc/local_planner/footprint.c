@@ -24,8 +24,8 @@ void footprint_lines_make(footprint_lines *l, int reach, int row) {
         }
 }
 
-int footprint_outline_cost(const footprint_shape *f, const footprint_lines *l, const grid_frame *g,
-                           const uint8_t *cost, double x, double y, double cos_th, double sin_th) {
+int footprint_outline_cost(const footprint_shape *f, const footprint_lines *l, const grid_frame *g, const uint8_t *cost,
+                           double x, double y, double cos_th, double sin_th) {
     grid_cell c[FOOTPRINT_CORNERS];
     return footprint_corner_cells(f, g, x, y, cos_th, sin_th, c) ? footprint_cells_cost(l, g, cost, c) : -1;
 }

@@ -15,8 +15,8 @@ footprint_shape footprint_make(double half_length, double half_width, double pad
 static inline bool footprint_corner_cells(const footprint_shape *f, const grid_frame *g, double x, double y,
                                           double cos_th, double sin_th, grid_cell out[FOOTPRINT_CORNERS]) {
     for (int i = 0; i < FOOTPRINT_CORNERS; ++i)
-        if (!world_to_map(g, x + (f->x[i] * cos_th - f->y[i] * sin_th),
-                          y + (f->x[i] * sin_th + f->y[i] * cos_th), &out[i].x, &out[i].y))
+        if (!world_to_map(g, x + (f->x[i] * cos_th - f->y[i] * sin_th), y + (f->x[i] * sin_th + f->y[i] * cos_th),
+                          &out[i].x, &out[i].y))
             return false;
     return true;
 }
@@ -35,8 +35,8 @@ static inline int footprint_line_at(const footprint_lines *l, int dx, int dy) {
 
 // Highest cost under the outline at a pose: -1 where it touches a lethal or unknown cell or leaves the map
 // (CostmapModel::footprintCost).
-int footprint_outline_cost(const footprint_shape *f, const footprint_lines *l, const grid_frame *g,
-                           const uint8_t *cost, double x, double y, double cos_th, double sin_th);
+int footprint_outline_cost(const footprint_shape *f, const footprint_lines *l, const grid_frame *g, const uint8_t *cost,
+                           double x, double y, double cos_th, double sin_th);
 // The same, of the outline through the cells of the corners.
 int footprint_cells_cost(const footprint_lines *l, const grid_frame *g, const uint8_t *cost,
                          const grid_cell c[FOOTPRINT_CORNERS]);

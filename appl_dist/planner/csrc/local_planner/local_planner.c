@@ -59,8 +59,7 @@ static bool stop_with_acc_limits(local_planner *l, const double pose[3], double 
     return true;
 }
 
-static bool rotate_to_goal(local_planner *l, const double pose[3], double v, double w, double goal_yaw,
-                           double out[2]) {
+static bool rotate_to_goal(local_planner *l, const double pose[3], double v, double w, double goal_yaw, double out[2]) {
     const planner_settings *s = l->rollouts.set;
     const double period = 1.0 / s->controller_frequency;
     const double diff = shortest_angle(pose[2], goal_yaw);

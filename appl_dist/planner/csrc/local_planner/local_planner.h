@@ -4,9 +4,9 @@
 #include "rollout.h"
 
 typedef struct {
-    double *x, *y;        // (capacity) the global plan, odom
+    double *x, *y;               // (capacity) the global plan, odom
     int capacity, first, count;  // points first .. first + count are left of it
-    double end_yaw;       // rad, heading asked for at its last point; 0 at all others, as navfn leaves it
+    double end_yaw;              // rad, heading asked for at its last point; 0 at all others, as navfn leaves it
 } plan_store;
 
 typedef struct {

@@ -1,17 +1,18 @@
-// What a sample's points cost, looked at only for as long as its bound is the lowest.
+// Refines a sample's lower bound by the costs under its points, for as long as it is the lowest of all bounds.
 #pragma once
 #include "velocity_samples.h"
 
-// Not legal; not looked at to the end; cost known; only stepping through it tells.
-typedef enum { ILLEGAL, OPEN, DONE, UNDECIDED } verdict;
+// Not legal; a bound, as not every point was tested; the exact cost; only simulating it tells.
+typedef enum { REFINE_ILLEGAL, REFINE_BOUNDED, REFINE_EXACT, REFINE_UNDECIDED } refine_result;
 
-enum { LOOK_COARSEST = 16 };  // points are looked at every 16th first, then those between
+enum { REFINE_COARSEST = 16 };  // every 16th point is tested first, then those between
 
-// Before the first look.
-static inline void look_start(sample_block *b, int lane) { b->back[lane] = 0, b->gap[lane] = LOOK_COARSEST; }
+// Before the first refinement.
+static inline void refine_start(sample_block *b, int lane) { b->back[lane] = 0, b->gap[lane] = REFINE_COARSEST; }
 
-// Looks at points until the bound passes `enough` (with `or_equal`: reaches it) or all are seen.
-verdict look(rollout_planner *p, const motion *m, sample_block *b, int lane, double enough, bool or_equal);
+// Tests points until the bound passes `enough` (with `or_equal`: reaches it) or all are tested.
+refine_result refine_bound(rollout_planner *p, const motion *m, sample_block *b, int lane, double enough,
+                           bool or_equal);
 
-// The sample's cost by stepping through it, -1 where it is not legal.
-double step_through(rollout_planner *p, const motion *m, double v, double w, rollout *scratch);
+// The sample's cost by simulating it step by step, -1 where it is not legal.
+double simulate_cost(rollout_planner *p, const motion *m, double v, double w, rollout *scratch);

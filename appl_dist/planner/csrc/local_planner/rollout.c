@@ -88,20 +88,20 @@ static sample_window dynamic_window(const rollout_planner *p, const motion *m) {
 
 typedef struct {
     rollout *best, *other;
-} contest;
+} rollout_pair;
 
-static void take(contest *c) {
+static void swap_best(rollout_pair *c) {
     rollout *t = c->best;
     c->best = c->other;
     c->other = t;
 }
 
-static void try_forward(rollout_planner *p, const motion *m, double v, double w, contest *c) {
+static void try_forward(rollout_planner *p, const motion *m, double v, double w, rollout_pair *c) {
     simulate(p, *m, v, w, c->other);
-    if (c->other->cost >= 0 && (c->other->cost < c->best->cost || c->best->cost < 0)) take(c);
+    if (c->other->cost >= 0 && (c->other->cost < c->best->cost || c->best->cost < 0)) swap_best(c);
 }
 
-static void try_turn(rollout_planner *p, const motion *m, double w, bool allowed, double *ahead, contest *c) {
+static void try_turn(rollout_planner *p, const motion *m, double w, bool allowed, double *ahead, rollout_pair *c) {
     rollout *t = c->other;
     simulate(p, *m, 0, w, t);
     if (!allowed || t->cost < 0 || !(t->cost <= c->best->cost || c->best->cost < 0)) return;
@@ -113,12 +113,12 @@ static void try_turn(rollout_planner *p, const motion *m, double w, bool allowed
     const double d = wavefront_ros_value(&p->goal, cx, cy);
     if (d < *ahead) {
         *ahead = d;
-        take(c);
+        swap_best(c);
     }
 }
 
 // Every sample, in order, as ROS does.
-static void try_all(rollout_planner *p, const motion *m, const sample_window *k, contest *c) {
+static void try_all(rollout_planner *p, const motion *m, const sample_window *k, rollout_pair *c) {
     if (!p->escaping) {
         double v = k->min_v;
         for (int i = 0; i < k->nv; ++i, v += k->dv) {
@@ -129,7 +129,7 @@ static void try_all(rollout_planner *p, const motion *m, const sample_window *k,
     }
     double ahead = DBL_MAX, w = k->min_w;
     for (int j = 0; j < k->nw; ++j, w += k->dw)
-        try_turn(p, m, turn_rate(p, w), turn_allowed(p, w, k->dw), &ahead, c);
+        try_turn(p, m, in_place_turn_rate(p, w), in_place_turn_allowed(p, w, k->dw), &ahead, c);
 }
 
 static void forget_oscillation_after(rollout_planner *p, const motion *m) {
@@ -161,7 +161,7 @@ const rollout *rollout_best(rollout_planner *p, const double *plan_x, const doub
     const motion m = {x, y, theta, v, w};
     p->goal_x = plan_x[n - 1], p->goal_y = plan_y[n - 1];
     const sample_window k = dynamic_window(p, &m);
-    contest c = {&p->one, &p->two};
+    rollout_pair c = {&p->one, &p->two};
     c.best->cost = c.other->cost = -1;
     c.best->points = c.other->points = 0;
     p->rollouts = p->rollout_steps = 0;
@@ -170,9 +170,9 @@ const rollout *rollout_best(rollout_planner *p, const double *plan_x, const doub
         lay_out_waves(p, plan_x, plan_y, n, &m, &everywhere);
         try_all(p, &m, &k, &c);
     } else {
-        const grid_box ends = search_start(p, &m, &k, !p->escaping);
+        const grid_box ends = best_first_start(p, &m, &k, !p->escaping);
         lay_out_waves(p, plan_x, plan_y, n, &m, &ends);
-        search_best(p, &m, &k, !p->escaping, c.best);
+        best_first_search(p, &m, &k, !p->escaping, c.best);
         if (c.best->cost >= 0) simulate_poses(p, m, c.best->v, c.best->w, c.best);
     }
 

@@ -9,7 +9,7 @@
 
 #define CELL_DOUBT 1e-6  // cells: 5e-8 m at 0.05 m
 
-enum { ARC_FROM_MAX = 64, ARC_STEPS_MAX = 10000, ARC_BATCH = 8 };
+enum { ACCELERATION_STEPS_MAX = 64, ROLLOUT_ARC_STEPS_MAX = 10000, POSE_BATCH = 8 };
 
 typedef struct {
     double v, w;        // m/s, rad/s
@@ -18,31 +18,39 @@ typedef struct {
     double per_half;    // 1 / sin(turn / 2); 0 for a straight line
     double dt;          // s
     int steps, from;
-} arc;
+} rollout_arc;
 
 // Poses at some steps of an arc, the cells of their centres, and those of the footprint's corners.
 typedef struct {
-    double step[ARC_BATCH];
-    double x[ARC_BATCH], y[ARC_BATCH], sine[ARC_BATCH], cosine[ARC_BATCH];
-    int32_t cx[ARC_BATCH], cy[ARC_BATCH], known[ARC_BATCH];  // cell of the centre, as arc_cell
-    int32_t corner_x[FOOTPRINT_CORNERS][ARC_BATCH], corner_y[FOOTPRINT_CORNERS][ARC_BATCH];
-    int32_t corners_known[ARC_BATCH];
-} arc_batch;
+    double step[POSE_BATCH];
+    double x[POSE_BATCH], y[POSE_BATCH], sine[POSE_BATCH], cosine[POSE_BATCH];
+    int32_t cx[POSE_BATCH], cy[POSE_BATCH], known[POSE_BATCH];  // cell of the centre, as rollout_arc_cell
+    int32_t corner_x[FOOTPRINT_CORNERS][POSE_BATCH], corner_y[FOOTPRINT_CORNERS][POSE_BATCH];
+    int32_t corners_known[POSE_BATCH];
+} pose_batch;
 
 // Fills a batch from its steps, which have to be those of the arc.
-void arc_poses(const arc *a, const rollout_planner *p, const motion *m, arc_batch *at);
-void arc_corners(const rollout_planner *p, arc_batch *at);
+void rollout_arc_poses(const rollout_arc *a, const rollout_planner *p, const motion *m, pose_batch *at);
+void rollout_arc_corners(const rollout_planner *p, pose_batch *at);
 
 // sin and cos to 1e-13 for |angle| < 1e4.
-ALWAYS_INLINE void arc_sincos(double angle, double *s, double *c) {
+ALWAYS_INLINE void rollout_arc_sincos(double angle, double *s, double *c) {
     const double magic = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number, kept in the low bits
     const double rounded = angle * 0.63661977236758134308 + magic, k = rounded - magic;
     const double r = (angle - k * 1.5707963267341256) - k * 6.077100506506192e-11, z = r * r;
-    const double sine = r + r * z * (-1.6666666666666666e-1 + z * (8.333333333333333e-3 + z * (-1.984126984126984e-4 +
-                        z * (2.7557319223985893e-6 + z * (-2.505210838544172e-8 + z * 1.6059043836821613e-10)))));
-    const double cosine = 1.0 + z * (-0.5 + z * (4.1666666666666664e-2 + z * (-1.388888888888889e-3 +
-                          z * (2.48015873015873e-5 + z * (-2.755731922398589e-7 + z * (2.08767569878681e-9 -
-                          z * 1.1470745597729725e-11))))));
+    const double sine =
+        r + r * z *
+                (-1.6666666666666666e-1 +
+                 z * (8.333333333333333e-3 +
+                      z * (-1.984126984126984e-4 +
+                           z * (2.7557319223985893e-6 + z * (-2.505210838544172e-8 + z * 1.6059043836821613e-10)))));
+    const double cosine =
+        1.0 +
+        z * (-0.5 +
+             z * (4.1666666666666664e-2 +
+                  z * (-1.388888888888889e-3 +
+                       z * (2.48015873015873e-5 +
+                            z * (-2.755731922398589e-7 + z * (2.08767569878681e-9 - z * 1.1470745597729725e-11))))));
     int64_t quarter;
     memcpy(&quarter, &rounded, sizeof quarter);
     const double a = quarter & 1 ? cosine : sine, b = quarter & 1 ? sine : cosine;
@@ -52,7 +60,8 @@ ALWAYS_INLINE void arc_sincos(double angle, double *s, double *c) {
 
 // 1 and the cell of a point; 0 when it is off the map (or NaN); -1 when it is too near an edge to tell. No branches, so
 // that loops over it become vectors.
-ALWAYS_INLINE int32_t arc_cell(const grid_frame *g, double per_res, double x, double y, int32_t *cx, int32_t *cy) {
+ALWAYS_INLINE int32_t rollout_arc_cell(const grid_frame *g, double per_res, double x, double y, int32_t *cx,
+                                       int32_t *cy) {
     double u = (x - g->ox) * per_res, v = (y - g->oy) * per_res;
     u = u > -1 ? u : -1, v = v > -1 ? v : -1;
     u = u < g->w + 1 ? u : g->w + 1, v = v < g->h + 1 ? v : g->h + 1;

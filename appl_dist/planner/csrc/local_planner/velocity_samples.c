@@ -25,13 +25,13 @@ ALWAYS_INLINE bool speed_up(sample_block *b, const planner_settings *set, const 
         speed[i] = m->v, rate[i] = m->w, from[i] = 0;
     }
     int64_t busy = 1;
-    for (int k = 0; busy && k <= ARC_FROM_MAX; ++k) {
+    for (int k = 0; busy && k <= ACCELERATION_STEPS_MAX; ++k) {
         busy = 0;
         for (int i = 0; i < SAMPLE_LANES; ++i) {
             const double v = b->v[i], w = b->w[i], missing = fabs(v - speed[i]) + fabs(w - rate[i]);
             const double on = from[i] < b->steps[i] - 1 ? (missing > 0 ? 1.0 : 0.0) : 0.0, dt = on * b->dt[i];
             double s, c;
-            arc_sincos(b->th[i], &s, &c);
+            rollout_arc_sincos(b->th[i], &s, &c);
             const double up = speed[i] + acc_x * dt, down = speed[i] - acc_x * dt;
             const double left = rate[i] + acc_theta * dt, right = rate[i] - acc_theta * dt;
             const double faster = up < v ? up : v, slower = down > v ? down : v;
@@ -57,15 +57,16 @@ ALWAYS_INLINE void find_ends(sample_block *b, const grid_frame *frame) {
     for (int i = 0; i < SAMPLE_LANES; ++i) {
         const double turn = b->w[i] * b->dt[i], pace = b->v[i] * b->dt[i], n = b->steps[i] - 1 - b->from[i];
         double s, c, half, unused;
-        arc_sincos(turn * 0.5, &s, &c);
+        rollout_arc_sincos(turn * 0.5, &s, &c);
         const double per_half = fabs(turn) > 1e-9 ? 1 / s : 0;
-        arc_sincos(b->th[i] + (n - 1) * turn * 0.5, &s, &c);
-        arc_sincos(n * turn * 0.5, &half, &unused);
+        rollout_arc_sincos(b->th[i] + (n - 1) * turn * 0.5, &s, &c);
+        rollout_arc_sincos(n * turn * 0.5, &half, &unused);
         const double length = pace * (per_half == 0 ? n : half * per_half);
-        const int32_t known = arc_cell(&g, per_res, b->x[i] + length * c, b->y[i] + length * s, &b->cx[i], &b->cy[i]);
+        const int32_t known =
+            rollout_arc_cell(&g, per_res, b->x[i] + length * c, b->y[i] + length * s, &b->cx[i], &b->cy[i]);
         b->turn[i] = turn, b->pace[i] = pace, b->per_half[i] = per_half;
-        const int32_t sane = fabs(turn) < 1 ? known : SAMPLE_ASTRAY;
-        b->known[i] = b->steps[i] <= ARC_STEPS_MAX ? sane : SAMPLE_ASTRAY;
+        const int32_t sane = fabs(turn) < 1 ? known : SAMPLE_NO_ARC;
+        b->known[i] = b->steps[i] <= ROLLOUT_ARC_STEPS_MAX ? sane : SAMPLE_NO_ARC;
     }
 }
 
@@ -77,17 +78,16 @@ WIDE static bool roll(sample_block *restrict b, const planner_settings *restrict
     return there;
 }
 
-void samples_roll(sample_block *b, const rollout_planner *p, const motion *m) {
+void velocity_samples_rollout(sample_block *b, const rollout_planner *p, const motion *m) {
     const double large = fmax(fmax(fabs(m->x), fabs(m->y)), fmax(fabs(m->v), fmax(fabs(m->w), fabs(m->th))));
     if (roll(b, p->set, &p->frame, m, p->steps_max) && large < 5e3) return;
     for (int i = 0; i < SAMPLE_LANES; ++i) {
         b->steps[i] = simulate_steps(p, b->v[i], b->w[i]);
-        b->known[i] = SAMPLE_ASTRAY;
+        b->known[i] = SAMPLE_NO_ARC;
     }
 }
 
-arc samples_arc(const sample_block *b, int i) {
-    return (arc){b->v[i],    b->w[i],    b->x[i],        b->y[i],  b->th[i],
-                 b->turn[i], b->pace[i], b->per_half[i], b->dt[i], b->steps[i],
-                 b->from[i]};
+rollout_arc velocity_samples_arc(const sample_block *b, int i) {
+    return (rollout_arc){b->v[i],    b->w[i],        b->x[i],  b->y[i],     b->th[i],  b->turn[i],
+                         b->pace[i], b->per_half[i], b->dt[i], b->steps[i], b->from[i]};
 }

@@ -61,7 +61,7 @@ void wavefront_target(wavefront *m, int x, int y) {
 }
 
 // Writes down the distance of the front's cells in the box.
-static void note_front(wavefront *m) {
+static void record_front(wavefront *m) {
     if (m->level < m->box_level) return;
     const uint64_t *front = m->front;
     const grid_box *b = &m->box;
@@ -92,7 +92,7 @@ void wavefront_start(wavefront *m) {
     m->exhausted = m->last < 0;
     for (int y = m->box.y0; y <= m->box.y1; ++y)
         memset(m->dist + y * WAVE_STRIDE + m->box.x0, 0xFF, sizeof *m->dist * (size_t)(m->box.x1 - m->box.x0 + 1));
-    note_front(m);
+    record_front(m);
 }
 
 typedef uint64_t row_bits __attribute__((vector_size(8 * WAVE_WORDS)));
@@ -109,8 +109,8 @@ WIDE static bool step(const uint64_t *restrict open, uint64_t *restrict reached,
         memcpy(&above, reached + k + WAVE_WORDS, sizeof above);
         memcpy(&free, open + k, sizeof free);
         const row_bits high = row >> 63, low = row << 63;
-        const row_bits beside = row << 1 | SHUFFLE4(high, none, 4, 0, 1, 2) | row >> 1 |
-                                SHUFFLE4(low, none, 1, 2, 3, 4);
+        const row_bits beside =
+            row << 1 | SHUFFLE4(high, none, 4, 0, 1, 2) | row >> 1 | SHUFFLE4(low, none, 1, 2, 3, 4);
         const row_bits found = (below | above | beside) & free & ~row, all = row | found;
         memcpy(front + k, &found, sizeof found);
         memcpy(reached + k, &all, sizeof all);
@@ -125,11 +125,11 @@ static void grow(wavefront *m) {
     m->last += m->last < m->h;
     m->exhausted = !step(m->open, m->reached, m->front, m->first, m->last);
     m->level += 1;
-    if (!m->exhausted) note_front(m);
+    if (!m->exhausted) record_front(m);
 }
 
 int wavefront_grow_until(wavefront *m, int x, int y) {
-    if (!wavefront_noted(m, x, y)) {  // once more, noting everything
+    if (!wavefront_in_box(m, x, y)) {  // once more, noting everything
         m->box = (grid_box){0, 0, m->w - 1, m->h - 1};
         m->box_level = 0;
         wavefront_start(m);
