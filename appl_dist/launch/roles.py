@@ -181,7 +181,9 @@ def _who(settings: Settings) -> tuple[str, Callable[[str], bool]]:
 
 
 def spool_root(own: ActorSettings, run_id: str) -> Path:
-    """The folder of a run's spools, as the actor that `own` describes sees it."""
+    """The folder of a run's spools, as the actor that `own` describes sees it; its own is one of them."""
+    if own.id and own.spool:
+        return Path(own.spool).parent
     return Path(own.run) / "spool" if own.run else Path("spool") / run_id
 
 

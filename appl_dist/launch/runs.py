@@ -31,7 +31,8 @@ log = logging.getLogger(__name__)
 LEARNER_FILE = "learner.json"
 KEYS_FOLDER = "keys"  # in a run's folder
 DEFAULT_FOLDER = "runs/%Y%m%d-%H%M%S"
-ASK_S = 2.0
+ASK_S = 2.0  # to reach who holds an endpoint
+STARTING_S = 20.0  # a learner that holds one imports torch and makes its replay before it answers
 _OUTPUTS = ("checkpoints", "replay", "spool", "evaluation", "policy.safetensors", "metrics.jsonl", "epoch.json")
 _EVERYWHERE = ("0.0.0.0", "[::]")
 
@@ -198,7 +199,7 @@ def listen(wire: WireSettings) -> Session:
     except EndpointInUse as taken:
         try:
             with open_session(replace(wire, timeout_s=ASK_S), listen=False, identity=VIEWER) as session:
-                owner, _ = fetch_run(session, ASK_S)
+                owner, _ = fetch_run(session, STARTING_S)
         except UserError:
             raise taken from None
         raise EndpointInUse(str(taken).replace("another process", f"run {owner}")) from None

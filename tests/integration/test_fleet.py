@@ -14,7 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from appl_dist.errors import PassingFault
+from appl_dist.errors import USER_ERROR, PassingFault
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.runs import whereabouts, with_keys_of
 from appl_dist.wire.control import fetch_run, fetch_run_status
@@ -169,3 +169,14 @@ def test_killing_the_keeper_of_actors_leaves_none(fleet: Fleet) -> None:
     far.kill()
     _, alive = psutil.wait_procs(children, timeout=20.0)
     assert alive == []
+
+
+def test_a_fleet_whose_actors_die_of_one_cause_ends_with_it(fleet: Fleet) -> None:
+    fleet.learner()
+    (fleet.run.parent / "file").write_bytes(b"")
+    far = fleet.start(
+        "actors", "actors=2", f"actor.run={fleet.run}", "actor.id=actor-far", f"actor.spool={fleet.run.parent}/file"
+    )
+    assert far.wait(300) == USER_ERROR, fleet.log(far)
+    last = fleet.log(far).strip().splitlines()[-1]
+    assert re.search(r"actor-far-[01] ended 3 times in the same way, with status 2: .*spool .*cannot be written", last)

@@ -44,11 +44,11 @@ def free_port() -> int:
 class Run:
     """One `appl-dist train` and its folder."""
 
-    def __init__(self, folder: Path, *overrides: str, resume: bool = False) -> None:
+    def __init__(self, folder: Path, *overrides: str, resume: bool = False, endpoint: str = "") -> None:
         self.folder = folder
         key = "run.resume" if resume else "run.folder"
-        endpoint = f"wire.endpoint=tcp/127.0.0.1:{free_port()}"
-        command = [sys.executable, "-m", "appl_dist", "train", *SMALL, endpoint, f"{key}={folder}", *overrides]
+        own = [f"wire.endpoint={endpoint or f'tcp/127.0.0.1:{free_port()}'}", f"{key}={folder}"]
+        command = [sys.executable, "-m", "appl_dist", "train", *SMALL, *own, *overrides]
         self.process = subprocess.Popen(
             command, cwd=folder.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
