@@ -139,18 +139,15 @@ def _usage() -> str:
 def _help(role: str) -> str:
     from omegaconf import OmegaConf
 
-    from appl_dist.config import CONF, compose_dict
+    from appl_dist.config import compose_dict
+    from appl_dist.config_groups import choices, groups
 
-    groups = "\n".join(
-        f"  {folder.name:<12} {', '.join(sorted(f.stem for f in folder.glob('*.yaml')))}"
-        for folder in sorted(CONF.iterdir())
-        if folder.is_dir()
-    )
+    listed = "\n".join(f"  {group:<12} {', '.join(choices(group))}" for group in groups())
     return (
         f"appl-dist {role}: {ROLES[role]}\n\n"
         f"usage: appl-dist {role} [group=choice …] [key=value …]\n"
         f"  e.g. appl-dist {role} timing=robot world.path=../shared/barn run.seed=1\n\n"
-        f"groups and their choices (conf/GROUP/CHOICE.yaml)\n{groups}\n\n"
+        f"groups and their choices\n{listed}\n\n"
         f"keys and their defaults\n{OmegaConf.to_yaml(OmegaConf.create(compose_dict([])))}"
     )
 

@@ -6,9 +6,7 @@ them with `conf/` and the command line; a wrong key, type or value becomes one s
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import functools
 import json
 import logging
 import os
@@ -17,30 +15,31 @@ import typing
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
-from hydra.errors import HydraException, OverrideParseException
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from appl_dist import overrides
 from appl_dist.actor.exploration import ExplorationSettings
-from appl_dist.actor.protocol import PROTOCOLS, Protocol
+from appl_dist.actor.protocol import Protocol
 from appl_dist.actor.reward import RewardSettings
 from appl_dist.actor.timing import TimingSettings
+from appl_dist.config_groups import CONF, REGISTRIES, registered, store_choices
+from appl_dist.config_schema import build, schema_of, sentence
 from appl_dist.errors import UserError
 from appl_dist.launch.launch_settings import LaunchSettings
 from appl_dist.learner.settings import LearnerSettings
-from appl_dist.planner.parameters import Arithmetic, PlannerSettings
-from appl_dist.policy.observation import OBSERVATIONS
+from appl_dist.planner.planner_settings import Arithmetic, PlannerSettings
+from appl_dist.planner.planners import PLANNERS
+from appl_dist.policy.observation import ObservationSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings
-from appl_dist.spec import SPACES
 from appl_dist.wire.wire_settings import MAX_ACTORS, WireSettings
 
 log = logging.getLogger(__name__)
-T = TypeVar("T")
 CONFIG_OPTION = "--config="
 CONFIG_FILE = "config.json"  # in a run's folder
 # What a continued run may change: its length, where it runs, and whatever leaves the meaning of its data alone.
@@ -53,8 +52,6 @@ CHANGEABLE = (
         "samples_per_insert", "samples_tolerance", "publish_every_s", "report_every_s", "checkpoint_every_s",
         "detail_every")),
 )  # fmt: skip
-_PACKAGE = Path(__file__).resolve().parent
-CONF = next((p for p in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if p.is_dir()), _PACKAGE / "conf")
 
 
 @dataclass(frozen=True)
@@ -94,14 +91,13 @@ class WorldSettings:
 class EnvSettings:
     """How the planner is tuned, and which arithmetic it has while the policy is trained.
 
-    decision_period_s: how often the policy acts; space: which parameter box ("dwa" or "dwa_wide").
+    decision_period_s: how often the policy acts; space: which of the planner's parameter boxes ("dwa" or "dwa_wide").
     training_arithmetic: planner.arithmetic of actors that collect transitions. "fast" collects twice as many; paired
         episodes cannot tell it from "exact" (benchmarks/README.md). Evaluations drive with planner.arithmetic.
     """
 
     decision_period_s: float = 2.0
     space: str = "dwa"
-    observation: str = "paper"
     training_arithmetic: Arithmetic = "fast"
 
     def __post_init__(self) -> None:
@@ -157,6 +153,7 @@ class Settings:
     lidar: LidarSettings
     timing: TimingSettings
     planner: PlannerSettings
+    observation: ObservationSettings
     protocol: Protocol
     env: EnvSettings
     reward: RewardSettings
@@ -182,9 +179,9 @@ class Settings:
         _allowed("evaluation.workers", self.evaluation.workers, 0, 1024)
         if not self.evaluation.methods:
             raise ValueError("evaluation.methods: got none; expected at least one, as in +evaluation.methods.mine=FILE")
-        _one_of("env.space", self.env.space, SPACES)
-        if self.env.observation not in OBSERVATIONS:
-            _one_of("env.observation", self.env.observation, OBSERVATIONS.names())
+        for group in ("planner", "robot", "observation", "reward"):
+            registered(group, getattr(self, group).name)
+        PLANNERS.get(self.planner.name).space(self.env.space)
         if self.actor.id and not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.actor.id):
             raise ValueError(f"actor.id: got {self.actor.id!r}; allowed 1 to 64 of letters, digits, '_', '.', '-'")
 
@@ -244,7 +241,7 @@ def _with_overrides(frozen: dict[str, Any], arguments: Sequence[str]) -> dict[st
     try:
         merged = OmegaConf.to_container(OmegaConf.merge(frozen, OmegaConf.from_dotlist(others)))
     except (OmegaConfBaseException, ValueError) as error:
-        raise UserError(_sentence(error)) from None
+        raise UserError(sentence(error)) from None
     return _assigned(merged, texts)
 
 
@@ -257,31 +254,32 @@ def _assigned(composed: Any, texts: Sequence[tuple[str, overrides.Text]]) -> dic
 
 def compose_dict(arguments: Sequence[str]) -> dict[str, Any]:
     """The composed configuration as plain values: what a run freezes and the learner serves."""
-    ConfigStore.instance().store(name="schema", node=_schema(Settings))
+    ConfigStore.instance().store(name="schema", node=schema_of(Settings))
+    store_choices(arguments)
     texts, others = overrides.split(arguments, Settings)
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             node = compose("config", overrides=others)
         plain = OmegaConf.to_container(node, resolve=True)
     except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(_sentence(error)) from None
+        raise UserError(sentence(error)) from None
     return _assigned(plain, texts)
 
 
 def from_dict(plain: dict[str, Any]) -> Settings:
     """Settings of a composed or received configuration, every field checked. Raises UserError.
 
-    `protocol` may also be the name of one, as in `--config=FILE protocol=challenge`.
+    The group of a registry may be a name, as in `--config=FILE protocol=challenge`; its other keys are then default.
     """
     try:
-        if isinstance(plain.get("protocol"), str):
-            _one_of("protocol", plain["protocol"], PROTOCOLS)
-            plain = plain | {"protocol": dataclasses.asdict(PROTOCOLS[plain["protocol"]])}
-        node = OmegaConf.merge(OmegaConf.structured(_schema(Settings)), plain)
+        for group in REGISTRIES:
+            if isinstance(plain.get(group), str):
+                plain = plain | {group: registered(group, plain[group])}
+        node = OmegaConf.merge(OmegaConf.structured(schema_of(Settings)), plain)
         checked: Any = OmegaConf.to_container(node, resolve=True)
-        return _build(Settings, checked)
+        return build(Settings, checked)
     except (OmegaConfBaseException, ValueError, TypeError) as error:
-        raise UserError(_sentence(error)) from None
+        raise UserError(sentence(error)) from None
 
 
 def as_dict(settings: Settings) -> dict[str, Any]:
@@ -294,49 +292,6 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-@functools.cache
-def _schema(cls: type) -> type:
-    """A mutable twin of a frozen settings class: OmegaConf takes `frozen` to mean that nothing may be overridden."""
-    hints = typing.get_type_hints(cls)
-    rows: list[Any] = []
-    for f in dataclasses.fields(cls):
-        hint = hints[f.name]
-        if dataclasses.is_dataclass(hint):
-            twin = _schema(typing.cast(type, hint))
-            rows.append((f.name, twin, field(default_factory=twin)))
-        elif f.default is not dataclasses.MISSING:
-            default: Any = list(f.default) if isinstance(f.default, tuple) else f.default
-            rows.append((f.name, _plain(hint), field(default_factory=functools.partial(copy.copy, default))))
-        elif f.default_factory is not dataclasses.MISSING:
-            rows.append((f.name, _plain(hint), field(default_factory=f.default_factory)))
-        else:
-            rows.append((f.name, _plain(hint), "???"))
-    return dataclasses.make_dataclass(cls.__name__, rows)
-
-
-def _plain(hint: Any) -> Any:
-    """A type OmegaConf can check: literals become strings, tuples of any length become lists."""
-    origin = typing.get_origin(hint)
-    if origin is typing.Literal:
-        return str
-    if origin is tuple:
-        return list[typing.get_args(hint)[0]]  # type: ignore[misc]
-    return hint
-
-
-def _build(cls: type[T], values: dict[str, Any]) -> T:
-    hints = typing.get_type_hints(cls)
-    arguments: dict[str, Any] = {}
-    for f in dataclasses.fields(cls):  # type: ignore[arg-type]
-        value = values[f.name]
-        if dataclasses.is_dataclass(hints[f.name]):
-            value = _build(typing.cast(type, hints[f.name]), value)
-        elif isinstance(value, list):
-            value = tuple(value)
-        arguments[f.name] = value
-    return cls(**arguments)
-
-
 def _allowed(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         raise ValueError(f"{name}: got {value}; allowed {low:g}..{high:g}")
@@ -345,23 +300,3 @@ def _allowed(name: str, value: float, low: float, high: float) -> None:
 def _one_of(name: str, value: str, allowed: Any) -> None:
     if value not in allowed:
         raise ValueError(f"{name}: got {value!r}; allowed {', '.join(sorted(allowed))}")
-
-
-def _sentence(error: BaseException) -> str:
-    """One line of a Hydra or OmegaConf error, with the key it is about."""
-    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
-    key = getattr(cause, "full_key", None)
-    first = " ".join(line.strip() for line in str(cause).splitlines()[:1])
-    if isinstance(error, OverrideParseException) and error.override.partition("=")[0] not in first:
-        name, _, value = error.override.partition("=")
-        return f"{name}: cannot read {value!r}: {first}; a value with special characters needs quotes: \"{name}='…'\""
-    choice = re.search(r"Could not find '(\w+)/([^']*)'", first)
-    if choice:
-        allowed = ", ".join(sorted(f.stem for f in (CONF / choice[1]).glob("*.yaml")))
-        return f"{choice[1]}: got {choice[2]!r}; allowed {allowed}"
-    first = re.sub(r"Could not override '([^']+)'\.?", r"\1: no such key.", first)
-    first = re.sub(r"Key '[^']+' is not in struct", "no such key; `appl-dist train --help` lists them", first)
-    first = re.sub(r"Ambiguous value for argument '([^']+)'", r"\1: a value with commas needs quotes: key='a,b'", first)
-    if key and not first.startswith(str(key)):
-        first = f"{key}: {first}"
-    return first

@@ -2,7 +2,7 @@
 
 Comes in: the learner's actor network, or fixed parameter values from a fit. Goes out: the same, checked.
 A file holds exactly one of an MLP (ReLU between layers, tanh at the end, action in [-1, 1]) or fixed
-parameter values. It carries the parameter space (names and bounds) and the observation layout, so a file
+parameter values. It carries the parameter space (planner, names and bounds) and the observation layout, so a file
 can never be run against bounds or a layout it was not trained for.
 """
 
@@ -12,7 +12,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +24,9 @@ from safetensors.numpy import save as save_tensors
 
 from appl_dist.errors import UserError
 from appl_dist.files import write_atomic
-from appl_dist.spec import (
-    DWA,
-    PAPER,
-    SPACES,
-    FloatArray,
-    ObservationLayout,
-    Parameter,
-    ParameterSpace,
-)
+from appl_dist.spec import FloatArray, ObservationLayout, Parameter, ParameterSpace
 
-FORMAT = 2
+FORMAT = 3
 ACTIVATION = "relu"  # between layers; the output layer is always tanh
 _HEADER_KEY = "appl_policy"
 _HALF_MAX = float(np.finfo(np.float16).max)
@@ -62,13 +54,13 @@ class PolicyFile:
 
     weights: tuple[FloatArray, ...] = ()
     biases: tuple[FloatArray, ...] = ()
-    space: ParameterSpace = DWA
+    space: ParameterSpace = field(kw_only=True)
     values: NDArray[np.float64] | None = None
     epoch: int = 0
     version: int = 0
     transitions: int = 0
     training: Training | None = None  # None: unknown, as for a fixed set or a file made elsewhere
-    observation: ObservationLayout = PAPER
+    observation: ObservationLayout | None = None  # None with fixed values, which look at nothing
 
     def __post_init__(self) -> None:
         for name in ("epoch", "version", "transitions"):
@@ -80,13 +72,14 @@ class PolicyFile:
             _check_values(self.values, self.space)
         elif not self.weights:
             raise ValueError("weights: got no layer and no fixed values; one of the two is needed")
+        elif self.observation is None:
+            raise ValueError("observation: got none; a network needs the layout of what it sees")
         else:
-            self._check_layers()
+            self._check_layers(self.observation.size)
 
-    def _check_layers(self) -> None:
+    def _check_layers(self, fan_in: int) -> None:
         if len(self.weights) != len(self.biases):
             raise ValueError(f"biases: got {len(self.biases)}; {len(self.weights)} weights need as many")
-        fan_in = self.observation.size
         for i, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             for name, array in ((f"weight.{i}", w), (f"bias.{i}", b)):
                 if array.dtype != np.float32:
@@ -113,7 +106,7 @@ class PolicyFile:
         dtype = np.float16 if half else np.float32
         header = {
             "format": FORMAT,
-            "observation": asdict(self.observation),
+            **({} if self.observation is None else {"observation": asdict(self.observation)}),
             "activation": ACTIVATION,
             "layers": len(self.weights),
             "space": _space_to_plain(self.space),
@@ -169,6 +162,7 @@ def _check_values(values: NDArray[Any], space: ParameterSpace) -> None:
 def _space_to_plain(space: ParameterSpace) -> dict[str, Any]:
     return {
         "name": space.name,
+        "planner": space.planner,
         "parameters": [
             {
                 "name": p.name,
@@ -185,6 +179,7 @@ def _space_to_plain(space: ParameterSpace) -> dict[str, Any]:
 
 def _space_from_plain(plain: Any) -> ParameterSpace:
     name = _take(plain, "name", str, "space.name")
+    planner = _take(plain, "planner", str, "space.planner")
     rows = _take(plain, "parameters", list, "space.parameters")
     parameters = []
     for i, row in enumerate(rows):
@@ -198,11 +193,7 @@ def _space_from_plain(plain: Any) -> ParameterSpace:
         raise ValueError("space.parameters: is empty")
     if len({p.name for p in parameters}) < len(parameters):
         raise ValueError("space.parameters: a name appears twice")
-    space = ParameterSpace(name, tuple(parameters))
-    known = SPACES.get(name)
-    if known is not None and known != space:
-        raise ValueError(f"space {name!r}: its bounds or names differ from this version's space {name!r}")
-    return known or space
+    return ParameterSpace(name, planner, tuple(parameters))
 
 
 def _observation_from_plain(plain: Any) -> ObservationLayout:
@@ -259,7 +250,7 @@ def _from_parts(header: dict[str, Any], tensors: dict[str, NDArray[Any]]) -> Pol
         version=_take(header, "version", int, "version"),
         transitions=_take(header, "transitions", int, "transitions"),
         training=_training(header["training"]) if "training" in header else None,
-        observation=_observation_from_plain(_take(header, "observation", dict, "observation")),
+        observation=_observation_from_plain(header["observation"]) if "observation" in header else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""Layouts that every process shares: observation, action, planner parameters and one rollout.
+"""Layouts that every process shares: observation, action, planner parameters, lidar and one rollout.
 
 Leaf of the import graph: numpy and the standard library only, nothing of ours.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 
-WIRE_VERSION = 3  # raised whenever a layout below or a wire header changes
+WIRE_VERSION = 4  # raised whenever a layout below or a wire header changes
 
 VALUE_DECIMALS = 6  # of parameter values that an action stands for
 
@@ -51,9 +51,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """An ordered set of planner parameters and the affine map between them and actions in [-1, 1]."""
+    """An ordered set of parameters of one `planner`, and the affine map between them and actions in [-1, 1]."""
 
     name: str
+    planner: str
     parameters: tuple[Parameter, ...]
     low: NDArray[np.float64] = field(init=False, repr=False, compare=False)
     high: NDArray[np.float64] = field(init=False, repr=False, compare=False)
@@ -95,40 +96,16 @@ class ParameterSpace:
         return np.clip(2.0 * unit - 1.0, -1.0, 1.0).astype(np.float32)
 
 
-def _dwa_space(name: str, bounds: tuple[tuple[float, float], ...]) -> ParameterSpace:
-    rows = (
-        ("max_vel_x", 0.5, "m/s", False),
-        ("max_vel_theta", 1.57, "rad/s", False),
-        ("vx_samples", 6, "", True),
-        ("vtheta_samples", 20, "", True),
-        ("occdist_scale", 0.1, "", False),
-        ("pdist_scale", 0.75, "", False),
-        ("gdist_scale", 1.0, "", False),
-        ("inflation_radius", 0.30, "m", False),
-    )
-    return ParameterSpace(
-        name,
-        tuple(Parameter(n, d, lo, hi, u, i) for (n, d, u, i), (lo, hi) in zip(rows, bounds, strict=True)),
-    )
+@dataclass(frozen=True)
+class LaserGeometry:
+    """Where a lidar looks: `beams` spread evenly from -angle_max_rad to angle_max_rad about the robot's x axis.
 
+    mount_x_m: it stands on that axis, so far ahead of base_link. The defaults are the Jackal's.
+    """
 
-# The eight TrajectoryPlannerROS parameters APPL tunes, and APPLR's bounds (journal Tab. I and Sec. V-D).
-DWA = _dwa_space(
-    "dwa",
-    ((0.2, 2.0), (0.314, 3.14), (4, 20), (4, 60), (0.05, 1.0), (0.1, 1.5), (0.1, 2.0), (0.01, 0.5)),
-)
-# Bounds that also hold every parameter set published for APPLD and APPLI, for cloning them.
-DWA_WIDE = _dwa_space(
-    "dwa_wide",
-    ((0.1, 2.0), (0.314, 3.14), (4, 20), (3, 60), (0.01, 1.0), (0.1, 1.5), (0.1, 2.0), (0.005, 0.6)),
-)
-SPACES = {s.name: s for s in (DWA, DWA_WIDE)}
-
-# The papers' observation (APPL journal, Sec. V-D) of the Jackal's lidar and DWA's parameters: the default where no
-# environment says otherwise.
-LIDAR_BEAMS = 720
-PAPER = ObservationLayout("paper", LIDAR_BEAMS, LIDAR_BEAMS + 1 + len(DWA), clip_m=2.0)
-OBSERVATION_SIZE = PAPER.size
+    beams: int = 720
+    mount_x_m: float = 0.055
+    angle_max_rad: float = 2.35619
 
 
 @dataclass(frozen=True)
@@ -147,7 +124,7 @@ class Rollout:
     rewards: FloatArray
     terminal: bool
     info: dict[str, Any]
-    scan_size: int = LIDAR_BEAMS
+    scan_size: int
 
     def __len__(self) -> int:
         return len(self.rewards)

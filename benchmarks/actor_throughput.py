@@ -26,13 +26,17 @@ PAPER_TRANSITIONS_PER_CPU_S = 0.46  # 231 transitions/s on 500 CPUs
 
 def papers_policy(rng: np.random.Generator) -> Any:
     """A random policy of the papers' shape: 729-512-512-512-8."""
+    from paper_sizes import LAYOUT, OBSERVATION_SIZE
+
+    from appl_dist.planner.dwa import DWA
     from appl_dist.policy.network import MLPPolicy
     from appl_dist.policy_file import PolicyFile
-    from appl_dist.spec import OBSERVATION_SIZE
 
     sizes = [OBSERVATION_SIZE, 512, 512, 512, 8]
     weights = tuple(rng.normal(0, 1 / np.sqrt(i), (o, i)).astype(np.float32) for i, o in itertools.pairwise(sizes))
-    return MLPPolicy(PolicyFile(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:])))
+    return MLPPolicy(
+        PolicyFile(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:]), space=DWA, observation=LAYOUT)
+    )
 
 
 def run_actor(overrides: list[str], seconds: float, seed: int, out: Any) -> None:

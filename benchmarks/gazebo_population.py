@@ -40,7 +40,7 @@ from appl_dist.evaluate.runner import NavigationRunner, course_of, make_methods
 from appl_dist.evaluate.statistics import collect
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Trial, make_jobs, run_jobs
-from appl_dist.planner.parameters import Arithmetic, PlannerSettings
+from appl_dist.planner.planner_settings import Arithmetic, PlannerSettings
 from appl_dist.sim.worlds import World, load_worlds
 
 V2 = "set:max_vel_x=2,vx_samples=12"
@@ -139,7 +139,7 @@ def compare(
     name: str, recorded: dict[int, Recorded], worlds: Sequence[World], options: Any, arithmetic: Arithmetic
 ) -> tuple[tuple[Floats, Floats], list[Trial]]:
     """Print one population beside its record; returns times per world (recorded, ours; failures 100 s), and trials."""
-    protocol = PROTOCOLS["challenge_2022" if name == "challenge" else name]
+    protocol = PROTOCOLS.get("challenge_2022" if name == "challenge" else name)
     worlds = [w for w in worlds if w.index in recorded][:: options.every]
     trials = drive(name, protocol, [("default", "default")], worlds, options, arithmetic)
     by_world = {w.index: [t for t in trials if t.world == w.index] for w in worlds}
@@ -211,7 +211,7 @@ def tell_apart(name: str, exact: Sequence[Trial], fast: Sequence[Trial]) -> None
 
 def scores(worlds: Sequence[World], options: Any, arithmetic: Arithmetic) -> None:
     """Score of 2022 (clip at 4 and 8 optimal times) at 1 m: default DWA and v2 on every sixth world."""
-    protocol = replace(PROTOCOLS["challenge_2022"], goal_radius_m=1.0)
+    protocol = replace(PROTOCOLS.get("challenge_2022"), goal_radius_m=1.0)
     worlds = [w for w in worlds if w.index % 6 == 0][:: options.every]
     trials = drive("scores", protocol, [("default", "default"), ("v2", V2)], worlds, options, arithmetic)
     samples = collect(trials, protocol.failed_time_s)

@@ -40,7 +40,7 @@ from appl_dist.evaluate.statistics import collect, compare, summarise
 from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import Job, Method, Trial, run_jobs, trial_seed
 from appl_dist.files import write_atomic
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
 
 TIMINGS = ("gazebo", "robot", "ideal")
 # Trial numbers of the three stages, hence their seeds, never meet.
@@ -78,7 +78,7 @@ def measure(timing: str, options: argparse.Namespace) -> dict[str, Any]:
         raise UserError(f"--test: world {min(both)} also trains; give worlds that --train does not")
     test = test[:: max(1, len(test) // options.test_count)][: options.test_count]
     methods = {m.label: m for m in make_methods(list(candidates(options.sets, rng).items()))}
-    protocol = PROTOCOLS["appl"]
+    protocol = PROTOCOLS.get("appl")
     # `ideal` is the loop of the reference episodes, whose robot did exactly what it was told.
     overrides = [f"timing={timing}", "planner.arithmetic=fast", *(["robot.drive=ideal"] if timing == "ideal" else [])]
     settings = load(overrides)

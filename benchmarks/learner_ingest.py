@@ -25,9 +25,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import psutil
+from paper_sizes import LAYOUT
 
 from appl_dist.learner.settings import LearnerSettings, TD3Settings
-from appl_dist.spec import DWA, Rollout
+from appl_dist.planner.dwa import DWA
+from appl_dist.spec import Rollout
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.codec import Ack, UploadHeader, decode_header, encode_header, encode_rollout
@@ -61,7 +63,14 @@ def record(count: int) -> list[bytes]:
     info = {**episodes[-1].info, "policy_epoch": 1, "policy_version": 1}
     return [
         encode_rollout(
-            Rollout(observations[i : i + BATCH + 1], actions[i : i + BATCH], rewards[i : i + BATCH], True, info)
+            Rollout(
+                observations[i : i + BATCH + 1],
+                actions[i : i + BATCH],
+                rewards[i : i + BATCH],
+                True,
+                info,
+                LAYOUT.scan_size,
+            )
         )
         for i in range(0, count * BATCH, BATCH)
     ]
@@ -82,7 +91,7 @@ def learner(bus: Bus, folder: Path, train: bool) -> Learner:
         td3=TD3Settings(), replay_capacity=500_000, samples_tolerance=FOR_EVER,
         min_transitions=1000 if train else FOR_EVER,
     )  # fmt: skip
-    run = Run(RUN, folder, 0, 10**10, 0.0, {}, DWA, 70.0, lambda _: 0.0)
+    run = Run(RUN, folder, 0, 10**10, 0.0, {}, DWA, LAYOUT, 70.0, lambda _: 0.0)
     return Learner(bus, run, settings)
 
 
@@ -153,9 +162,14 @@ def ingest(clients: int, blobs: list[bytes], seconds: float, train: bool) -> Non
         def measure() -> None:
             barrier.wait()
             time.sleep(0.25 * seconds)
-            before = (time.perf_counter(), part.replay.transitions_total, part.td3.updates, sum(me.cpu_times()[:2]))
+            before = (
+                time.perf_counter(),
+                part.replay.ring.transitions_total,
+                part.td3.updates,
+                sum(me.cpu_times()[:2]),
+            )
             time.sleep(0.5 * seconds)
-            after = (time.perf_counter(), part.replay.transitions_total, part.td3.updates, sum(me.cpu_times()[:2]))
+            after = (time.perf_counter(), part.replay.ring.transitions_total, part.td3.updates, sum(me.cpu_times()[:2]))
             elapsed_s, *gains = (b - a for a, b in zip(before, after, strict=True))
             measured.update(zip(("transitions", "updates", "cpu"), (gain / elapsed_s for gain in gains), strict=True))
             measured["mib"] = me.memory_info().rss / 2**20

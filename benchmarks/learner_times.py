@@ -22,10 +22,10 @@ from pathlib import Path
 from appl_dist.learner.learner import Learner
 from appl_dist.learner.run_info import Run
 from appl_dist.learner.settings import LearnerSettings
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
 from appl_dist.wire.memory import MemoryHub
 
-run = Run("run", Path(sys.argv[1]), 0, 10**9, 0.0, {}, DWA, 70.0, lambda _: 0.1)
+run = Run("run", Path(sys.argv[1]), 0, 10**9, 0.0, {}, DWA, LAYOUT, 70.0, lambda _: 0.1)
 learner = Learner(MemoryHub().connect(), run, LearnerSettings(min_transitions=1000))
 assert learner.step()
 print("updated", flush=True)
@@ -46,35 +46,36 @@ def first_update_s(folder: Path) -> float:
 def fill(folder: Path, transitions: int) -> None:
     """A replay of noise, as an earlier learner left it."""
     import numpy as np
+    from paper_sizes import LAYOUT, OBSERVATION_SIZE, SIZES
 
     from appl_dist.learner.replay import Replay
     from appl_dist.learner.settings import LearnerSettings
-    from appl_dist.spec import OBSERVATION_SIZE, Rollout
+    from appl_dist.spec import Rollout
 
     rng = np.random.default_rng(0)
     observations = rng.uniform(-1, 1, (41, OBSERVATION_SIZE)).astype(np.float32)
     actions = rng.uniform(-1, 1, (40, 8)).astype(np.float32)
-    rollout = Rollout(observations, actions, np.zeros(40, np.float32), True, {})
+    rollout = Rollout(observations, actions, np.zeros(40, np.float32), True, {}, LAYOUT.scan_size)
     settings = LearnerSettings()
-    with Replay(folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma) as replay:
+    with Replay(folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma, **SIZES) as replay:
         for seq in range(transitions // 40):
-            replay.insert(rollout, "bench", seq)
+            replay.ring.insert(rollout, "bench", seq)
 
 
 def checkpoints(folder: Path, saves: int) -> None:
     """Save while training, and report how long `save` and the updates during a write take."""
     import numpy as np
+    from paper_sizes import OBSERVATION_SIZE, SIZES
 
     from appl_dist.learner.checkpoint import Checkpoints
     from appl_dist.learner.replay import Replay
     from appl_dist.learner.settings import LearnerSettings, TD3Settings
     from appl_dist.learner.td3 import TD3
-    from appl_dist.spec import OBSERVATION_SIZE
 
     settings = LearnerSettings()
     learner, rng = TD3(TD3Settings(), OBSERVATION_SIZE, 8), np.random.default_rng(0)
     keeper = Checkpoints(folder / "checkpoints")
-    with Replay(folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma) as replay:
+    with Replay(folder / "replay", settings.replay_capacity, settings.n_step, settings.gamma, **SIZES) as replay:
 
         def updates(count: int) -> list[float]:
             times = []

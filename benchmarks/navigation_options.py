@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from paper_sizes import OBSERVATION_SIZE, SIZES
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.exploration import ExplorationSettings, explore
@@ -27,8 +28,8 @@ from appl_dist.actor.world_split import select_worlds
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
-from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.spec import OBSERVATION_SIZE, FloatArray
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.spec import FloatArray
 
 GAMMA, WARM_UP, SCORES, TRIALS, FAILED_S = 0.99, 300, 4, 3, 70.0
 HIDDEN = (256, 256)
@@ -64,7 +65,7 @@ class Trial:
         self.env, self.variant, self.seed, self.transitions = env, variant, seed, transitions
         self.settings = TD3Settings(hidden=HIDDEN, layer_norm=variant.layer_norm, precision=variant.precision)
         self.learner = TD3(self.settings, OBSERVATION_SIZE, len(env.space), seed)
-        self.replay = Replay(None, 20_000, variant.n_step, GAMMA, priority_exponent=variant.priority_exponent)
+        self.replay = Replay(None, 20_000, variant.n_step, GAMMA, priority_exponent=variant.priority_exponent, **SIZES)
         self.rng = np.random.default_rng(seed)
 
     def run(self) -> dict[str, Any]:
@@ -76,15 +77,15 @@ class Trial:
             rollout = collect(self.env, self._explore, seed=1000 * self.seed + episode)
             assert rollout is not None
             returns.append(rollout.info["return_"])
-            self.replay.insert(rollout, "trial", episode)
+            self.replay.ring.insert(rollout, "trial", episode)
             self._learn(len(rollout))
-            done = self.replay.transitions_total / self.transitions
+            done = self.replay.ring.transitions_total / self.transitions
             if done >= (len(scores) + 1) / SCORES:
                 paused = time.process_time()
                 score = self._score()
                 scoring += time.process_time() - paused
                 processor_s = time.process_time() - began - scoring
-                scores.append({"transitions": self.replay.transitions_total, "processor_s": processor_s, **score})
+                scores.append({"transitions": self.replay.ring.transitions_total, "processor_s": processor_s, **score})
             if done >= 1.0:
                 third = returns[-len(returns) // 3 :]
                 return {"scores": scores, "training_return": float(np.mean(third)), "episodes": len(returns)}
@@ -96,11 +97,11 @@ class Trial:
         return action
 
     def _explore(self, observation: FloatArray) -> FloatArray:
-        done = self.replay.transitions_total
+        done = self.replay.ring.transitions_total
         return explore(self._act(observation), EXPLORATION, done, self.transitions, self.rng)
 
     def _learn(self, new: int) -> None:
-        total = self.replay.transitions_total
+        total = self.replay.ring.transitions_total
         if total < WARM_UP:
             return
         if total - new < WARM_UP:

@@ -21,11 +21,12 @@ from typing import Any
 
 import numpy as np
 
+from appl_dist.planner.dwa import DWA
 from appl_dist.planner.ideal_drive import cast_scan, drive
 from appl_dist.planner.navigator import Navigator
-from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.planner.planner_settings import PlannerSettings
 from appl_dist.sim.generate import generate_worlds
-from appl_dist.spec import DWA
+from appl_dist.spec import LaserGeometry
 
 # ms of the ROS code on one core of a server (AMD EPYC, -O2): default parameters, random ones for the control.
 REAL_MS = {"local map": 0.11, "global map": 0.14, "plan": 1.65, "control": 1.33}
@@ -85,7 +86,7 @@ def run(
     for k in range(int(seconds * 20)):
         if random and k % 40 == 0:
             navigator.set_parameters(DWA.to_values(rng.uniform(-1, 1, 8)))
-        scan = cast_scan(cylinders, pose, 0.055, 720, 2.35619)
+        scan = cast_scan(cylinders, pose, LaserGeometry())
         now = time.thread_time()
 
         def lap(stage: str) -> None:

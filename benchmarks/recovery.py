@@ -51,7 +51,7 @@ def kill_learner(launcher: subprocess.Popen[bytes]) -> bool:
 def returns(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """(transitions stored up to and including, return) of every rollout, in the order stored."""
     with Replay.reopen(folder / "replay") as replay:
-        rows = [(len(stored.rewards), float(stored.rewards.sum())) for stored in replay.rollouts()]
+        rows = [(len(stored.rewards), float(stored.rewards.sum())) for stored in replay.ring.rollouts()]
     counts, values = np.array(rows).T
     return np.cumsum(counts), values
 

@@ -26,6 +26,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+from paper_sizes import LIDAR_BEAMS, OBSERVATION_SIZE
 
 from appl_dist.actor.collect import Explorer
 from appl_dist.actor.env import NavigationEnv
@@ -33,7 +34,8 @@ from appl_dist.actor.spool import Spool
 from appl_dist.config import from_dict
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import die_with_parent
-from appl_dist.spec import DWA, LIDAR_BEAMS, OBSERVATION_SIZE, Rollout
+from appl_dist.planner.dwa import DWA
+from appl_dist.spec import Rollout
 from appl_dist.wire.codec import encode_rollout
 from appl_dist.wire.control import ControlClient, fetch_run
 from appl_dist.wire.liveness import Presence
@@ -88,7 +90,7 @@ def episode(explorer: Explorer, rng: np.random.Generator) -> Rollout:
         "world": 0, "ended": True, "success": True, "time_s": 0.0, "return_": float(rewards.sum()),
         "policy_epoch": max(epoch, 0), "policy_version": max(version, 0),
     }  # fmt: skip
-    return Rollout(observations, actions, rewards, True, info)
+    return Rollout(observations, actions, rewards, True, info, LIDAR_BEAMS)
 
 
 class Run:

@@ -20,13 +20,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from paper_sizes import LAYOUT, LIDAR_BEAMS, OBSERVATION_SIZE, SIZES
 
 from appl_dist.learner.replay import Replay
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, Rollout
+from appl_dist.spec import Rollout
 
 EPISODE, BATCH, BATCHES = 40, 256, 300
 PEER_TRANSITIONS = 20_000  # the peers' buffers grow by about 6 KB each
@@ -40,7 +42,7 @@ def episodes() -> list[Rollout]:
         return rng.uniform(-1, 1, shape).astype(np.float32)
 
     return [
-        Rollout(uniform(EPISODE + 1, OBSERVATION_SIZE), uniform(EPISODE, 8), uniform(EPISODE), True, {})
+        Rollout(uniform(EPISODE + 1, OBSERVATION_SIZE), uniform(EPISODE, 8), uniform(EPISODE), True, {}, LIDAR_BEAMS)
         for _ in range(50)
     ]
 
@@ -58,11 +60,11 @@ def report(name: str, bytes_each: float, inserts_per_s: float, sample: Callable[
 def ours(folder: Path | None, transitions: int, n_step: int = 3, priority_exponent: float = 0.0) -> Replay:
     rng = np.random.default_rng(0)
     data = episodes()
-    replay = Replay(folder, transitions, n_step, gamma=0.99, priority_exponent=priority_exponent)
+    replay = Replay(folder, transitions, n_step, 0.99, **SIZES, priority_exponent=priority_exponent)
     began = time.perf_counter()
     for seq in range(transitions // EPISODE):
-        replay.insert(data[seq % len(data)], "bench", seq)
-    rate = replay.transitions_total / (time.perf_counter() - began)
+        replay.ring.insert(data[seq % len(data)], "bench", seq)
+    rate = replay.ring.transitions_total / (time.perf_counter() - began)
     rows = replay._rows.data.itemsize * (EPISODE + 1) / EPISODE
 
     def sample() -> None:
@@ -128,7 +130,7 @@ def scan_cost() -> None:
             learner = TD3(TD3Settings(precision="fp32"), OBSERVATION_SIZE, 8, seed=seed)
             for parameter in learner.actor.parameters():
                 parameter.data.mul_(3.0)  # trained weights are larger than initial ones
-            policy = MLPPolicy(PolicyFile(*learner.policy_arrays()))
+            policy = MLPPolicy(PolicyFile(*learner.policy_arrays(), space=DWA, observation=LAYOUT))
             for _ in range(50):
                 obs = rng.uniform(-1, 1, OBSERVATION_SIZE).astype(np.float32)
                 stored = obs.copy()
@@ -156,11 +158,11 @@ def main() -> None:
         with contextlib.suppress(ImportError):
             torch_rl(folder / "torchrl")
         used = sum(f.stat().st_blocks * 512 for f in (folder / "ours").iterdir())
-        each = used / len(replay)
+        each = used / len(replay.ring)
         print(f"on disk: {used / 1e6:.0f} MB, {each:.0f} bytes a transition, 5 M: {each * 5e6 / 1e9:.2f} GB")
         replay.close()
         began = time.perf_counter()
-        Replay(folder / "ours", args.transitions, 3, 0.99).close()
+        Replay(folder / "ours", args.transitions, 3, 0.99, **SIZES).close()
         print(f"reopened in {(time.perf_counter() - began) * 1e3:.1f} ms")
     finally:
         shutil.rmtree(folder)

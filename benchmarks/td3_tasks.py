@@ -106,8 +106,8 @@ def ours(task: Task, seed: int, precision: str) -> Curve:
         else:
             action = np.clip(act(obs) + SIGMA * rng.standard_normal(action_size, np.float32), -1, 1)
         then, reward, terminal, truncated, _ = env.step(action)
-        rollout = Rollout(np.stack([obs, then]), action[None], np.array([reward], np.float32), terminal, {})
-        replay.insert(rollout, "task", step - 1)
+        rollout = Rollout(np.stack([obs, then]), action[None], np.array([reward], np.float32), terminal, {}, 0)
+        replay.ring.insert(rollout, "task", step - 1)
         obs = env.reset()[0] if terminal or truncated else then
         if step > task.warm_up:
             learner.update(replay.sample(BATCH, rng))

@@ -46,14 +46,16 @@ def episodes() -> list[tuple[Any, Any, Any]]:
 
 
 def ours(hidden: tuple[int, ...], threads: int, precision: str) -> Callable[[], None]:
+    from paper_sizes import SIZES
+
     from appl_dist.learner.replay import Replay
     from appl_dist.learner.settings import TD3Settings
     from appl_dist.learner.td3 import TD3
     from appl_dist.spec import Rollout
 
-    replay = Replay(None, TRANSITIONS, n_step=1, gamma=0.99)
+    replay = Replay(None, TRANSITIONS, n_step=1, gamma=0.99, **SIZES)
     for seq, (observations, actions, rewards) in enumerate(episodes()):
-        replay.insert(Rollout(observations, actions, rewards, True, {}), "bench", seq)
+        replay.ring.insert(Rollout(observations, actions, rewards, True, {}), "bench", seq)
     settings = TD3Settings(hidden=hidden, batch_size=BATCH, precision=precision, threads=threads)
     learner = TD3(settings, OBSERVATION, ACTION)
     rng = np.random.default_rng(0)

@@ -19,8 +19,9 @@ from multiprocessing.queues import Queue
 from typing import Any
 
 import numpy as np
+from paper_sizes import LIDAR_BEAMS, OBSERVATION_SIZE
 
-from appl_dist.spec import OBSERVATION_SIZE, Rollout
+from appl_dist.spec import Rollout
 from appl_dist.wire import key_expressions as keys
 from appl_dist.wire.codec import (
     Ack,
@@ -50,6 +51,7 @@ def episode(seed: int) -> Rollout:
         rng.normal(size=TRANSITIONS).astype(np.float32),
         True,
         {"world": 7, "success": True},
+        LIDAR_BEAMS,
     )
 
 

@@ -14,23 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.actor.loop import NavigationLoop
-from appl_dist.actor.protocol import PROTOCOLS, Protocol
-from appl_dist.actor.reward import RewardSettings, reward
+from appl_dist.actor.protocol import APPL, Protocol
+from appl_dist.actor.reward import REWARDS, Outcome, RewardSettings
 from appl_dist.actor.timing import TimingSettings
-from appl_dist.planner.navigator import Navigator
-from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.policy.observation import OBSERVATIONS
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.planner.planners import PLANNERS
+from appl_dist.policy.observation import OBSERVATIONS, ObservationSettings
 from appl_dist.sim.simulator import LidarSettings, RobotSettings, Simulator
 from appl_dist.sim.worlds import World
-from appl_dist.spec import DWA, FloatArray, ParameterSpace
+from appl_dist.spec import FloatArray, ParameterSpace
 
 
 class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
-    """Tunes the planner of a Jackal every `decision_period_s` while it crosses a BARN world.
+    """Tunes the planner of a robot every `decision_period_s` while it crosses a BARN world.
 
     Observation float32 (size,) of `observation_builder.layout`, action float32 (n,) in [-1, 1], one entry a parameter;
-    the papers' observation of 720 beams and eight parameters has 729 entries. An episode terminates at the goal, in
-    a roll-over, or in a collision where the protocol says so; the time limit truncates it. `info` holds time_s,
+    that of the papers has 729 entries: 720 beams, the local goal, eight parameters. An episode terminates at the goal,
+    in a roll-over, or in a collision where the protocol says so; the time limit truncates it. `info` holds time_s,
     success, collision, rolled_over, world, distance_m, min_clearance_m, recoveries and the parameters in force.
 
     `reset(options={"world": index})` picks a world; otherwise every world is visited once, in a seeded random order,
@@ -43,10 +43,10 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self,
         worlds: Sequence[World],
         *,
-        protocol: Protocol = PROTOCOLS["appl"],
+        protocol: Protocol = APPL,
         decision_period_s: float = 2.0,
-        space: ParameterSpace = DWA,
-        observation: str = "paper",
+        space: ParameterSpace | None = None,
+        observation: ObservationSettings = ObservationSettings(),
         timing: TimingSettings = TimingSettings(),
         rewards: RewardSettings = RewardSettings(),
         planner: PlannerSettings = PlannerSettings(),
@@ -59,14 +59,18 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
             raise ValueError(f"decision_period_s: got {decision_period_s}; allowed 0.1..60")
         self.worlds = {world.index: world for world in worlds}
         self.protocol = protocol
-        self.space = space
-        if unknown := set(space.names) - set(DWA.names):
-            raise ValueError(f"space {space.name!r}: {', '.join(sorted(unknown))}: no parameter of the planner dwa")
-        self._indices = [DWA.names.index(name) for name in space.names]  # the others stay at their defaults
-        self.rewards = rewards
+        kind = PLANNERS.get(planner.name)
+        self.space = space = space or kind.parameters
+        if unknown := set(space.names) - set(kind.parameters.names):
+            raise ValueError(
+                f"space {space.name!r}: {', '.join(sorted(unknown))}: no parameter of the planner {planner.name}"
+            )
+        self._defaults = kind.parameters.defaults
+        self._indices = [kind.parameters.names.index(name) for name in space.names]  # the others keep their defaults
+        self.rewards, self._reward = rewards, REWARDS.get(rewards.name)
         self.period_ms = round(decision_period_s * 1000)
-        self.loop = NavigationLoop(Simulator(robot, lidar), Navigator(planner), timing)
-        self.observation_builder = OBSERVATIONS.get(observation)(lidar.beams, space)
+        self.loop = NavigationLoop(Simulator(robot, lidar), kind.make(planner, lidar.geometry), timing)
+        self.observation_builder = OBSERVATIONS.get(observation.name)(lidar.beams, space)
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (self.observation_builder.layout.size,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(space),), np.float32)
         self._order: list[int] = []
@@ -108,8 +112,9 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._over = terminated or truncated
         nearest_m = float(scan.min())
         goal = (float(self._goal[0]), float(self._goal[1]))
-        r = reward(self.rewards, before, after, goal, nearest_m, self.loop.success)
-        return observation, r, terminated, truncated, self._info()
+        collided = self.loop.simulator.collided
+        reward = self._reward(self.rewards, Outcome(before, after, goal, nearest_m, self.loop.success, collided))
+        return observation, reward, terminated, truncated, self._info()
 
     def close(self) -> None:
         self.loop.simulator.close()
@@ -122,12 +127,12 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def _apply(self, values: NDArray[np.float64]) -> None:
         self.parameters = values
-        in_force = DWA.defaults
+        in_force = self._defaults.copy()
         in_force[self._indices] = values
-        self.loop.navigator.set_parameters(in_force)
+        self.loop.planner.set_parameters(in_force)
 
     def _observe(self, scan: FloatArray) -> FloatArray:
-        bearing_rad = self.loop.navigator.local_goal_bearing(self.loop.estimate[0])
+        bearing_rad = self.loop.planner.local_goal_bearing(self.loop.estimate[0])
         return self.observation_builder.build(scan, bearing_rad, self.parameters)
 
     def _info(self) -> dict[str, Any]:
@@ -141,6 +146,6 @@ class NavigationEnv(gymnasium.Env[FloatArray, FloatArray]):
             "distance_m": simulator.distance_m,
             "min_clearance_m": loop.min_clearance_m,
             "collisions": loop.collisions,
-            "recoveries": loop.navigator.recoveries,
+            "recoveries": loop.planner.recoveries,
             "parameters": self.parameters,
         }

@@ -1,8 +1,8 @@
-"""The closed loop of robot and planner: one clock, the events of timing.py, simulator and navigator.
+"""The closed loop of robot and planner: one clock, the events of timing.py, simulator and planner.
 
 In: a world, a start, the rules of a trial and planner parameters. Out: the robot driving, and what the trial comes to.
 The events run in C (`csrc/loop.h`, `csrc/trial.h`), which comes back for contacts alone: those are pybullet's. The
-simulator lives in the world frame; the navigator in the odometry frame, whose origin is the start (axes parallel).
+simulator lives in the world frame; the planner in the odometry frame, whose origin is the start (axes parallel).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from appl_dist._native import LOOP_BROKEN, LOOP_CONTACT, LOOP_SAMPLED, Loop
 from appl_dist.actor.protocol import TrialRules
 from appl_dist.actor.timing import TimingSettings
-from appl_dist.planner.navigator import Navigator
+from appl_dist.planner.planners import Planner
 from appl_dist.sim.simulator import Simulator
 from appl_dist.sim.worlds import World
 from appl_dist.spec import FloatArray
@@ -37,12 +37,12 @@ class Stage(NamedTuple):
 class NavigationLoop:
     """Robot and planner coupled by the event model. Deterministic: world, seed and parameters fix every event."""
 
-    def __init__(self, simulator: Simulator, navigator: Navigator, timing: TimingSettings) -> None:
+    def __init__(self, simulator: Simulator, planner: Planner, timing: TimingSettings) -> None:
         self.simulator = simulator
-        self.navigator = navigator
+        self.planner = planner
         self.timing = timing
         self.on_sample: Callable[[], None] | None = None  # told whenever the lidar has fired
-        self._core = Loop(*simulator.native, navigator.native, simulator.lidar.mount_x_m, timing)
+        self._core = Loop(*simulator.native, getattr(planner, "native", planner), simulator.lidar.mount_x_m, timing)
         self._contact_s = 0.0
 
     def reset(self, world: World, seed: int, start: Array, rules: TrialRules) -> None:
@@ -59,7 +59,7 @@ class NavigationLoop:
         phases = [int(rng.integers(period)) if t.random_phases else 0 for period in periods]
         self.simulator.reset(world, seed, start)
         x, y = float(start[0]), float(start[1])
-        self.navigator.reset(np.array([rules.goal_x_m - x, rules.goal_y_m - y, 0.0]))
+        self.planner.reset(np.array([rules.goal_x_m - x, rules.goal_y_m - y, 0.0]))
         self._core.reset((x, y), np.array(phases, np.int64), rules)
 
     def advance(self, duration_ms: int) -> None:
@@ -94,7 +94,7 @@ class NavigationLoop:
 
     @property
     def scan(self) -> FloatArray:
-        """(720,) the newest scan, m, inf = no return."""
+        """(beams,) the newest scan, m, inf = no return."""
         return self.simulator.scan_from(*self._core.newest)
 
     @property

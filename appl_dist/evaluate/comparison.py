@@ -28,7 +28,6 @@ from appl_dist.evaluate.trial_log import TrialLog
 from appl_dist.evaluate.trials import TRIALS_FILE, Trial, make_jobs, run_jobs
 from appl_dist.evaluate.workers import Crew
 from appl_dist.files import write_atomic
-from appl_dist.sim.robot import LidarSettings
 from appl_dist.sim.worlds import World
 
 log = logging.getLogger(__name__)
@@ -73,11 +72,10 @@ def evaluate(
         raise UserError(f"workers: got {workers}; allowed 0 (in this process) or more")
     rules = _protocol(protocol)
     given = environment or {}
-    lidar = given.get("lidar", LidarSettings())
-    checked = make_methods(methods, given.get("space"), given.get("observation", "paper"), lidar.beams)
+    checked = make_methods(methods, given)
     chosen = _groups(groups, worlds)
     indices = sorted({w for group in chosen.values() for w in group})
-    runner = NavigationRunner(tuple(worlds), checked, {**(environment or {}), "protocol": rules})
+    runner = NavigationRunner(tuple(worlds), checked, {**given, "protocol": rules})
     jobs = make_jobs(checked, indices, range(trials_per_world), seed, runner.courses())
     folder = Path(folder)
     head = Head(rules, checked, {n: tuple(g) for n, g in chosen.items()}, seed, trials_per_world, settings or {})
@@ -144,9 +142,7 @@ def _speed(driven: Sequence[Trial], seconds: float) -> dict[str, Any]:
 def _protocol(protocol: str | Protocol) -> Protocol:
     if isinstance(protocol, Protocol):
         return protocol
-    if protocol not in PROTOCOLS:
-        raise UserError(f"protocol: got {protocol!r}; allowed {', '.join(PROTOCOLS)}")
-    return PROTOCOLS[protocol]
+    return PROTOCOLS.get(protocol)
 
 
 def _groups(groups: Mapping[str, Sequence[int]] | None, worlds: Sequence[World]) -> dict[str, list[int]]:

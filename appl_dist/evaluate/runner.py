@@ -10,18 +10,21 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from appl_dist.actor.env import NavigationEnv
-from appl_dist.actor.protocol import PROTOCOLS
+from appl_dist.actor.protocol import APPL
 from appl_dist.actor.rollout import EpisodeResult, run_episode
 from appl_dist.errors import UserError
 from appl_dist.evaluate.trials import Job, Method, Trial, encode_trace
-from appl_dist.policy.load import load_policy
-from appl_dist.policy.observation import OBSERVATIONS
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.planner.planners import PLANNERS
+from appl_dist.policy.load import Policy, load_policy
+from appl_dist.policy.observation import ObservationSettings, layout_of
 from appl_dist.sim.robot import LidarSettings
 from appl_dist.sim.worlds import World, course_of
-from appl_dist.spec import DWA, PAPER, SPACES, ParameterSpace
+from appl_dist.spec import ParameterSpace
 
 # Arguments of `NavigationEnv` that no trial depends on, or only by its policy.
 _NO_MATTER = ("rewards", "space", "observation")
@@ -58,14 +61,11 @@ class NavigationRunner:
 class _Runner:
     def __init__(self, settings: NavigationRunner) -> None:
         self._settings = settings
-        self._protocol = settings.environment.get("protocol", PROTOCOLS["appl"]).name
+        self._protocol = settings.environment.get("protocol", APPL).name
         self._envs: dict[str, NavigationEnv] = {}  # by parameter space: methods may have different boxes
-        default = settings.environment.get("space", DWA)
-        observation = settings.environment.get("observation", PAPER.name)
-        beams = settings.environment.get("lidar", LidarSettings()).beams
         self._policies = {}
         for m in settings.methods:
-            policy, space = _load(m.spec, default, observation, beams)
+            policy, space = _load(m.spec, settings.environment)
             self._policies[m.label] = policy, self._env(space)
 
     def _env(self, space: ParameterSpace) -> NavigationEnv:
@@ -109,14 +109,12 @@ def trial_of(job: Job, protocol: str, result: EpisodeResult) -> Trial:
 
 
 def make_methods(
-    methods: Sequence[tuple[str, str]],
-    space: ParameterSpace | None = None,
-    observation: str = PAPER.name,
-    beams: int = PAPER.scan_size,
+    methods: Sequence[tuple[str, str]], environment: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[Method, ...]:
     """Check every (label, policy specification) by loading it; UserError before any process is started.
 
-    A policy in a file is fingerprinted by the file's content, any other by its specification.
+    environment: arguments of `NavigationEnv`. A policy in a file is fingerprinted by the file's content, any other by
+    its specification.
     """
     if not methods:
         raise UserError("methods: got none; give at least one label and policy")
@@ -126,21 +124,24 @@ def make_methods(
             raise UserError(f"methods: label {label!r} is empty or used twice; labels name the rows of results")
     result = []
     for label, spec in methods:
-        _load(spec, space or DWA, observation, beams)
+        _load(spec, environment)
         path = Path(spec.split(":", 1)[-1])
         content = path.read_bytes() if path.is_file() else spec.encode()
         result.append(Method(label, spec, hashlib.sha256(content).hexdigest()[:12]))
     return tuple(result)
 
 
-def _load(spec: str, space: ParameterSpace, observation: str, beams: int) -> tuple[Any, ParameterSpace]:
-    """A policy and the box it acts in: another box of the same parameters where it does not fit in `space`."""
-    build = OBSERVATIONS.get(observation)
+def _load(spec: str, environment: Mapping[str, Any]) -> tuple[Policy, ParameterSpace]:
+    """A policy and the box it acts in: another box of the same parameters where the environment's does not hold it."""
+    kind = PLANNERS.get(environment.get("planner", PlannerSettings()).name)
+    space = environment.get("space") or kind.parameters
+    observation = environment.get("observation", ObservationSettings()).name
+    beams = environment.get("lidar", LidarSettings()).beams
     try:
-        return load_policy(spec, space, build(beams, space).layout), space
+        return load_policy(spec, space, layout_of(observation, beams, space)), space
     except UserError:
-        for other in SPACES.values():
+        for other in kind.spaces:
             if other.names == space.names and other != space:
                 with suppress(UserError):
-                    return load_policy(spec, other, build(beams, other).layout), other
+                    return load_policy(spec, other, layout_of(observation, beams, other)), other
         raise

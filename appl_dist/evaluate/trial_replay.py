@@ -19,6 +19,7 @@ from appl_dist.errors import UserError
 from appl_dist.evaluate.folder import Evaluation
 from appl_dist.evaluate.runner import NavigationRunner, course_of, trial_of
 from appl_dist.evaluate.trials import Job, Trial, decode_trace
+from appl_dist.planner.planners import DrawnPlanner
 from appl_dist.sim.worlds import World
 
 Array = NDArray[np.float64]
@@ -106,6 +107,9 @@ def replay(env: NavigationEnv, trial: Trial, every_ms: int = 0) -> Recording:
     world = env.worlds.get(trial.world)
     if world is None or course_of(world) != trial.course:
         raise UserError(f"{trial_name(trial)}: world {trial.world} is not the course of then; give the worlds of then")
+    planner = env.loop.planner
+    if not isinstance(planner, DrawnPlanner):
+        raise UserError(f"{trial_name(trial)}: its planner shows nothing to draw; it lacks a path, a costmap or a plan")
     frames: list[Frame] = []
     due_ms = 0
 
@@ -113,13 +117,13 @@ def replay(env: NavigationEnv, trial: Trial, every_ms: int = 0) -> Recording:
         nonlocal due_ms
         if env.loop.now_ms >= due_ms:
             due_ms = env.loop.now_ms + every_ms
-            frames.append(_frame(env))
+            frames.append(_frame(env, planner))
 
     env.loop.on_sample = record if every_ms else None
     try:
         result = repeat_episode(env, decode_trace(trial.parameters), seed=trial.seed, world=trial.world)
         if every_ms:
-            frames.append(_frame(env))
+            frames.append(_frame(env, planner))
         difference = ""
     except ValueError as error:
         raise UserError(
@@ -142,7 +146,7 @@ def replay(env: NavigationEnv, trial: Trial, every_ms: int = 0) -> Recording:
         high=env.space.high,
         beam_angles=np.linspace(lidar.angle_min_rad, lidar.angle_max_rad, lidar.beams),
         lidar_x_m=lidar.mount_x_m,
-        resolution_m=env.loop.navigator.settings.resolution_m,
+        resolution_m=planner.resolution_m,
         period_s=env.period_ms / 1000.0,
     )
 
@@ -165,9 +169,9 @@ def _difference(old: Trial, new: Trial) -> str:
     return ", ".join(changed)
 
 
-def _frame(env: NavigationEnv) -> Frame:
+def _frame(env: NavigationEnv, planner: DrawnPlanner) -> Frame:
     loop = env.loop
-    navigator, simulator = loop.navigator, loop.simulator
+    simulator = loop.simulator
     drift = simulator.odom_pose[:2] - simulator.pose[:2]  # the axes of both frames stay parallel
     origin = env.protocol.start(env.world)[:2] - drift
     return Frame(
@@ -175,10 +179,10 @@ def _frame(env: NavigationEnv) -> Frame:
         pose=simulator.pose,
         twist=simulator.twist,
         scan=loop.scan,
-        plan=navigator.path + origin,
-        trajectory=navigator.trajectory[:, :2] + origin,
-        costmap=navigator.local_costmap,
-        costmap_origin=navigator.local_origin + origin,
+        plan=planner.path + origin,
+        trajectory=planner.trajectory[:, :2] + origin,
+        costmap=planner.local_costmap,
+        costmap_origin=planner.local_origin + origin,
         parameters=np.array(env.parameters),
-        recoveries=navigator.recoveries,
+        recoveries=loop.planner.recoveries,
     )

@@ -13,10 +13,12 @@ from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.world_split import select_worlds
 from appl_dist.config import Settings, as_dict
 from appl_dist.errors import UserError
-from appl_dist.planner.parameters import Arithmetic, PlannerSettings
+from appl_dist.planner.planner_settings import Arithmetic, PlannerSettings
+from appl_dist.planner.planners import PLANNERS
+from appl_dist.policy.observation import layout_of
 from appl_dist.policy_file import PolicyFile, Training
 from appl_dist.sim.worlds import World, course_of
-from appl_dist.spec import SPACES
+from appl_dist.spec import ObservationLayout, ParameterSpace
 
 _PLACES = ("run", "actors", "serial", "actor", "wire", "evaluation", "launch")  # settings without meaning for learning
 EVALUATION = "evaluation_of"  # in what is served to actors: no training run, but trials under these settings
@@ -27,12 +29,22 @@ def worlds_of(settings: Settings, split: str) -> list[World]:
     return select_worlds(settings.world.path, settings.world.count, settings.world.seed, split)
 
 
+def space_of(settings: Settings) -> ParameterSpace:
+    """The box in which a policy of this run moves the planner's parameters."""
+    return PLANNERS.get(settings.planner.name).space(settings.env.space)
+
+
+def observation_of(settings: Settings) -> ObservationLayout:
+    """The layout of what a policy of this run sees."""
+    return layout_of(settings.observation.name, settings.lidar.beams, space_of(settings))
+
+
 def environment_arguments(settings: Settings, arithmetic: Arithmetic | None = None) -> dict[str, Any]:
     """Arguments of `NavigationEnv` beside the worlds and the protocol; arithmetic: instead of the planner's own."""
     return {
         "decision_period_s": settings.env.decision_period_s,
-        "space": SPACES[settings.env.space],
-        "observation": settings.env.observation,
+        "space": space_of(settings),
+        "observation": settings.observation,
         "timing": settings.timing,
         "rewards": settings.reward,
         "planner": replace(settings.planner, arithmetic=arithmetic or settings.planner.arithmetic),

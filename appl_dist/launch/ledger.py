@@ -76,11 +76,12 @@ def audit(replay: Replay, spools: Iterable[Path]) -> Ledger:
         logs[actor] += entries
         pending[actor] |= {entry.digest for entry in entries if entry.seq in files}
     held: dict[str, list[tuple[int, receipt.Receipt]]] = defaultdict(list)
-    for stored in replay.rollouts():
+    for stored in replay.ring.rollouts():
         held[stored.actor].append((stored.seq, receipt.of_arrays(stored.other, stored.actions, stored.rewards)))
-    actors = sorted({*logs, *replay.actors})
+    actors = sorted({*logs, *replay.ring.actors})
     return Ledger(
-        {a: _account(logs[a], pending[a], held[a], replay.expected_seq(a)) for a in actors}, replay.transitions_total
+        {a: _account(logs[a], pending[a], held[a], replay.ring.expected_seq(a)) for a in actors},
+        replay.ring.transitions_total,
     )
 
 

@@ -19,6 +19,7 @@ from appl_dist.errors import USER_ERROR, UserError
 from appl_dist.evaluate.runner import make_methods
 from appl_dist.evaluate.trials import TRIALS_FILE, Trial
 from appl_dist.launch import view
+from appl_dist.launch.environment import environment_arguments
 from appl_dist.launch.evaluation import evaluate_methods, require_statistics
 from appl_dist.launch.ledger import run_ledger
 from appl_dist.launch.processes import Child, stop_all
@@ -165,12 +166,12 @@ def _evaluate(settings: Settings, folder: Path, console: Console) -> None:
     from appl_dist.learner.learner import POLICY_FILE
 
     policy = folder / POLICY_FILE
-    methods = [*settings.evaluation.methods.items(), (_label(folder / "evaluation", policy), str(policy))]
+    methods = [*settings.evaluation.methods.items(), (_label(settings, folder / "evaluation", policy), str(policy))]
     evaluate_methods(settings, methods, folder / "evaluation", console, run=folder)
     sys.stdout.flush()
 
 
-def _label(evaluation: Path, policy: Path) -> str:
+def _label(settings: Settings, evaluation: Path, policy: Path) -> str:
     """What the run's policy is called in its tables: "learned", or after a longer training "learned@TRANSITIONS".
 
     A run that was made longer has a new policy; the trials of the one before stay, under the name they have.
@@ -180,5 +181,5 @@ def _label(evaluation: Path, policy: Path) -> str:
     log_file = evaluation / TRIALS_FILE
     rows = read_rows(log_file, Trial)[0] if log_file.exists() else []
     known = {row.policy for row in rows if row.method == "learned"}
-    (method,) = make_methods([("learned", str(policy))])
+    (method,) = make_methods([("learned", str(policy))], environment_arguments(settings))
     return "learned" if known <= {method.fingerprint} else f"learned@{PolicyFile.load(policy).transitions}"

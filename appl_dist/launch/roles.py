@@ -23,7 +23,14 @@ from appl_dist.actor.spool import Spool, SpoolInUse, has_rollouts
 from appl_dist.config import ActorSettings, Settings, as_dict, from_dict
 from appl_dist.errors import PassingFault, UserError
 from appl_dist.files import explain
-from appl_dist.launch.environment import EVALUATION, environment_arguments, training_of, worlds_of
+from appl_dist.launch.environment import (
+    EVALUATION,
+    environment_arguments,
+    observation_of,
+    space_of,
+    training_of,
+    worlds_of,
+)
 from appl_dist.launch.processes import die_with_parent
 from appl_dist.launch.runs import (
     announce,
@@ -35,8 +42,6 @@ from appl_dist.launch.runs import (
     whereabouts,
     with_keys_of,
 )
-from appl_dist.policy.observation import OBSERVATIONS
-from appl_dist.spec import SPACES
 from appl_dist.wire.bus import Bus
 from appl_dist.wire.control import ControlClient, fetch_run
 from appl_dist.wire.credentials import ACTOR, find
@@ -117,10 +122,10 @@ def build_learner(settings: Settings, bus: Bus) -> Learner:
         transitions=settings.run.transitions,
         minutes=settings.run.minutes,
         config=as_dict(settings),
-        space=SPACES[settings.env.space],
+        space=space_of(settings),
         failed_time_s=settings.protocol.failed_time_s,
         sigma=settings.explore.sigma,
-        observation=OBSERVATIONS.get(settings.env.observation)(settings.lidar.beams, SPACES[settings.env.space]).layout,
+        observation=observation_of(settings),
         sync=settings.run.sync,
         training=training_of(settings),
     )

@@ -61,17 +61,17 @@ class Learner:
         self.td3 = TD3(settings.td3, run.observation.size, len(run.space), seeds.stream(run.seed, "learner", "td3"))
         self.rng = seeds.generator(run.seed, "learner", "replay")
         self._started = self._opened = time.monotonic()
-        self._expected_back = self.replay.actors
+        self._expected_back = self.replay.ring.actors
         self.checkpoints = Checkpoints(run.folder / "checkpoints")
         self.version = 0
         self.checkpoints.reserve(self.td3)
         self.epoch = self._resume()
-        self.limiter = RateLimiter(settings.limits(), self.replay.transitions_total, self._samples())
+        self.limiter = RateLimiter(settings.limits(), self.replay.ring.transitions_total, self._samples())
         self.statistics = EpisodeStatistics(run.failed_time_s)
         self._publishing = _Every(settings.publish_every_s)
         self._reporting = _Every(settings.report_every_s)
         self._saving = _Every(settings.checkpoint_every_s)
-        self.ingest = Ingest(self.replay, self.limiter, run.run_id)
+        self.ingest = Ingest(self.replay.ring, self.limiter, run.run_id)
         self.publisher = WeightsPublisher(bus, run.run_id)
         self._published_updates = -1
         self._publish()
@@ -98,7 +98,7 @@ class Learner:
         if leave() and not stop() and not self.finished:
             self.save()
             self.checkpoints.wait()
-            log.info("left at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+            log.info("left at %d transitions, %d updates", self.replay.ring.transitions_total, self.td3.updates)
             return False
         self.end()
         return True
@@ -131,7 +131,7 @@ class Learner:
             self.save()
             self.checkpoints.wait()
         self.telemetry.write(self.version)
-        if self._out_of_time() and self.replay.transitions_total < self.run_info.transitions:
+        if self._out_of_time() and self.replay.ring.transitions_total < self.run_info.transitions:
             log.warning(
                 "run.minutes=%g ended training before run.transitions=%d; run.resume=%s run.minutes=0 continues",
                 self.run_info.minutes, self.run_info.transitions, self.run_info.folder,
@@ -139,7 +139,8 @@ class Learner:
         counts, refused = self.server.counts, self.server.refused()
         log.info(
             "ended at %d transitions, %d updates; this process stored %d rollouts, answered %d repeats, refused %d%s",
-            self.replay.transitions_total, self.td3.updates, counts["stored"], counts["duplicate"], counts["refused"],
+            self.replay.ring.transitions_total, self.td3.updates,
+            counts["stored"], counts["duplicate"], counts["refused"],
             f" (most of {', '.join(refused)})" if refused else "",
         )  # fmt: skip
 
@@ -175,7 +176,7 @@ class Learner:
     @property
     def finished(self) -> bool:
         """Whether the run has its transitions, or its minutes are over."""
-        return self.replay.transitions_total >= self.run_info.transitions or self._out_of_time()
+        return self.replay.ring.transitions_total >= self.run_info.transitions or self._out_of_time()
 
     def _out_of_time(self) -> bool:
         return 0.0 < self.run_info.minutes <= self._elapsed_s() / 60.0
@@ -189,7 +190,7 @@ class Learner:
             path = self.checkpoints.newest()
             self.version = int(_number(path, found, "version"))
             self._started -= _number(path, found, "elapsed_s")
-            log.info("resumed at %d transitions, %d updates", self.replay.transitions_total, self.td3.updates)
+            log.info("resumed at %d transitions, %d updates", self.replay.ring.transitions_total, self.td3.updates)
         elif self.settings.init:
             log.info("learning starts from %s", initialise(self.td3, self.settings.init, self.run_info.space))
         write_atomic(file, json.dumps({"epoch": epoch}), sync=True)
@@ -199,7 +200,7 @@ class Learner:
         return {
             "version": self.version,
             "epoch": self.epoch,
-            "transitions": self.replay.transitions_total,
+            "transitions": self.replay.ring.transitions_total,
             "elapsed_s": self._elapsed_s(),
         }
 
@@ -225,7 +226,7 @@ class Learner:
             raise Diverged("the policy holds a value that is not finite")
         return PolicyFile(
             weights, biases, space=self.run_info.space, epoch=self.epoch, version=self.version,
-            transitions=self.replay.transitions_total, training=self.run_info.training,
+            transitions=self.replay.ring.transitions_total, training=self.run_info.training,
             observation=self.run_info.observation,
         )  # fmt: skip
 

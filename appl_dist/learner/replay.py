@@ -1,33 +1,32 @@
 """Replay memory: rollouts in, n-step batches out.
 
-The ring (`rollout_ring.py`) holds each observation once. Its scans are fixed point of [-1, 1] (uint8: error at most
-1/255, 3.9 mm of range, which moves actions by less than the least exploration noise: benchmarks/replay_sampling.py);
-the rest is float32. A row is 796 bytes, so 5 million transitions take 4.1 GB. Rows are memory-mapped (`folder`) or
-plain memory (`folder` None).
+A `Replay` samples; its `ring` (`rollout_ring.py`) takes rollouts in and holds each observation once. Its scans are
+fixed point of [-1, 1] (uint8: error at most 1/255, 3.9 mm of range, which moves actions by less than the least
+exploration noise: benchmarks/replay_sampling.py); the rest is float32. A row of the papers' sizes is 796 bytes, so 5
+million transitions take 4.1 GB. Rows are memory-mapped (`folder`) or plain memory (`folder` None).
 """
 
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from appl_dist.errors import UserError
 from appl_dist.learner.rollout_ring import Ring, rows_for
 from appl_dist.learner.row_layout import Batch, RowLayout
 from appl_dist.learner.sum_tree import Priorities, Rows
-from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, FloatArray
+from appl_dist.spec import FloatArray
 
 
-class Replay(Ring):
-    """A ring of rollouts holding at most `capacity` transitions (fewer if rollouts average under 16 each).
+class Replay:
+    """Samples from a ring that holds at most `capacity` transitions (fewer if rollouts average under 16 each).
 
-    One thread may insert while another samples. priority_exponent 0 samples uniformly, above it by TD error
-    (`sum_tree.py`). sync: `insert` returns when the rollout is on the disk. UserError if `folder` holds a replay of
-    another shape, is in use, or its disk is full.
+    ring: where rollouts go in, and what there is to say of them. One thread may insert while another samples.
+    priority_exponent 0 samples uniformly, above it by TD error (`sum_tree.py`). sync: `insert` returns when the rollout
+    is on the disk. UserError if `folder` holds a replay of another shape, is in use, or its disk is full.
     """
 
     def __init__(
@@ -37,9 +36,9 @@ class Replay(Ring):
         n_step: int,
         gamma: float,
         *,
-        observation_size: int = OBSERVATION_SIZE,
-        scan_size: int = LIDAR_BEAMS,
-        action_size: int = 8,
+        observation_size: int,
+        scan_size: int,
+        action_size: int,
         scan_dtype: str = "uint8",
         priority_exponent: float = 0.0,
         sync: bool = False,
@@ -54,8 +53,8 @@ class Replay(Ring):
             raise ValueError(f"priority_exponent: got {priority_exponent}; allowed 0..1")
         self.n_step, self.gamma = n_step, gamma
         layout = RowLayout(observation_size, scan_size, action_size, scan_dtype)
-        priorities = Priorities(rows_for(capacity), priority_exponent) if priority_exponent else None
-        super().__init__(folder, capacity, layout, priorities, sync)
+        self._priorities = Priorities(rows_for(capacity), priority_exponent) if priority_exponent else None
+        self.ring = Ring(folder, capacity, layout, self._priorities, sync)
 
     @classmethod
     def reopen(cls, folder: str | Path) -> Replay:
@@ -73,15 +72,14 @@ class Replay(Ring):
         if batch < 1:
             raise ValueError(f"batch: got {batch}; at least 1")
         steps = np.arange(self.n_step)
-        with self._lock:
-            if not self._stored:
+        with self.ring.reading() as data:
+            if not len(self.ring):
                 raise IndexError("replay is empty")
             weights = None
             if self._priorities is None:
-                first = self._draw(batch, rng)
+                first = self.ring.draw(batch, rng)
             else:
-                first, weights = self._priorities.draw(batch, self._stored, rng)
-            data = self._rows.data
+                first, weights = self._priorities.draw(batch, len(self.ring), rng)
             now = data.take(first)
             left = now["left"].astype(np.int64)  # (b,)
             taken = np.minimum(left, self.n_step)  # (b,) k
@@ -93,11 +91,11 @@ class Replay(Ring):
         powers = np.where(steps < taken[:, None], self.gamma**steps, 0.0)  # (b, n)
         ended = (now["terminal"] != 0) & (taken == left)
         return Batch(
-            observations=self.layout.unpack(now),
+            observations=self.ring.layout.unpack(now),
             actions=np.ascontiguousarray(now["action"]),
             returns=(rewards * powers).sum(1).astype(np.float32),
             discounts=np.where(ended, 0.0, self.gamma**taken).astype(np.float32),
-            next_observations=self.layout.unpack(then),
+            next_observations=self.ring.layout.unpack(then),
             rows=None if weights is None else first,
             weights=weights,
         )
@@ -105,17 +103,15 @@ class Replay(Ring):
     def prioritise(self, rows: Rows, errors: FloatArray) -> None:
         """Take the TD errors (b,) of a sampled batch; without priorities there is nothing to do."""
         if self._priorities is not None:
-            with self._lock:
+            with self.ring.reading():
                 self._priorities.update(rows, errors)
 
-    def _draw(self, batch: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """(b,) rows, uniform over stored transitions: uniform over live rows, last observations rejected."""
-        live = self._head - self._tail
-        left = self._rows.data["left"]
-        kept = np.empty(0, np.int64)
-        while len(kept) < batch:
-            # Two percent over the mean need: a second round is rare, and harmless.
-            size = math.ceil((batch - len(kept)) * live / self._stored * 1.02) + 8
-            rows = (self._tail + rng.integers(live, size=size)) % self._rows_count
-            kept = np.concatenate((kept, rows[left[rows] > 0]))
-        return kept[:batch]
+    def close(self) -> None:
+        """Close the ring: nothing can be inserted or sampled after."""
+        self.ring.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

@@ -9,7 +9,10 @@ index, and from a floor kept per actor for rollouts the ring has overwritten.
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -122,6 +125,29 @@ class Ring:
             actor, seq = names[int(entry["actor"])], int(entry["seq"])
             found.append(Stored(actor, seq, rows["other"], rows["action"][:n], rows["reward"][:n]))
         return found
+
+    # ---- out
+
+    @contextmanager
+    def reading(self) -> Iterator[NDArray[Any]]:
+        """The rows, a structured array of `layout.dtype`, which nothing changes meanwhile: for copies, not for long."""
+        with self._lock:
+            yield self._rows.data
+
+    def draw(self, batch: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """(b,) rows of stored transitions, uniform over them; call it while `reading`, of a ring that is not empty.
+
+        Uniform over live rows, last observations rejected.
+        """
+        live = self._head - self._tail
+        left = self._rows.data["left"]
+        kept = np.empty(0, np.int64)
+        while len(kept) < batch:
+            # Two percent over the mean need: a second round is rare, and harmless.
+            size = math.ceil((batch - len(kept)) * live / self._stored * 1.02) + 8
+            rows = (self._tail + rng.integers(live, size=size)) % self._rows_count
+            kept = np.concatenate((kept, rows[left[rows] > 0]))
+        return kept[:batch]
 
     # ---- in
 

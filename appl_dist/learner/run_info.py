@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from appl_dist.policy_file import Training
-from appl_dist.spec import PAPER, ObservationLayout, ParameterSpace
+from appl_dist.spec import ObservationLayout, ParameterSpace
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Run:
     minutes: float
     config: dict[str, Any]
     space: ParameterSpace
+    observation: ObservationLayout
     failed_time_s: float
     sigma: Callable[[int], float]  # exploration noise after so many transitions, for the status
-    observation: ObservationLayout = PAPER
     sync: bool = False  # what is acknowledged is on the disk
     training: Training | None = None  # what policy files say of where they come from

@@ -70,7 +70,7 @@ class Telemetry:
         status = self.renew(version)
         values = {tag: getattr(status, name) for name, tag in SCALARS.items()}
         scalars = {tag: float(value) for tag, value in values.items() if value is not None}
-        self._metrics.write(self._replay.transitions_total, {**scalars, **self._learned})
+        self._metrics.write(self._replay.ring.transitions_total, {**scalars, **self._learned})
 
     def write_worlds(self) -> None:
         """Success and time of every training world so far: seldom, being two numbers a world."""
@@ -78,7 +78,7 @@ class Telemetry:
         for world, (_, success, time_s) in sorted(self._statistics.worlds().items()):
             scalars |= {f"world_success/{world}": success, f"world_time_s/{world}": time_s}
         if scalars:
-            self._metrics.write(self._replay.transitions_total, scalars)
+            self._metrics.write(self._replay.ring.transitions_total, scalars)
 
     def status(self) -> RunStatus:
         """The last status, with its age: a learner that hangs still answers, from the wire's thread."""
@@ -88,7 +88,7 @@ class Telemetry:
 
     def renew(self, version: int) -> RunStatus:
         """Bring the status up to date; `version`: of the newest policy."""
-        transitions, updates = self._replay.transitions_total, self._td3.updates
+        transitions, updates = self._replay.ring.transitions_total, self._td3.updates
         self._rates.mark(transitions, updates)
         actors = tuple(_actor(m) for m in self._roster.members() if m.role == "actor" and m.alive)
         self._status = RunStatus(

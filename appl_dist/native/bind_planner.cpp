@@ -36,11 +36,14 @@ nb::object owned(std::vector<T> values, std::initializer_list<size_t> shape) {
     throw nb::value_error(text);
 }
 
-planner_settings settings_of(nb::handle from) {
+planner_settings settings_of(nb::handle from, nb::handle laser) {
     planner_settings s;
 #define READ(name) s.name = nb::cast<double>(nb::float_(from.attr(#name)));
     PLANNER_SETTINGS(READ)
 #undef READ
+    s.beams = nb::cast<double>(nb::float_(laser.attr("beams")));
+    s.laser_x_m = nb::cast<double>(nb::float_(laser.attr("mount_x_m")));
+    s.angle_max_rad = nb::cast<double>(nb::float_(laser.attr("angle_max_rad")));
     planner_limit bad;
     if (!navigator_check_settings(&s, &bad)) refuse(bad);
     return s;
@@ -65,8 +68,8 @@ planner_parameters parameters_of(const Array &values, const planner_settings &se
 class Planner {
   public:
     Planner(const Planner &) = delete;
-    Planner(nb::handle settings, const Array &parameters) {
-        const planner_settings set = settings_of(settings);
+    Planner(nb::handle settings, nb::handle laser, const Array &parameters) {
+        const planner_settings set = settings_of(settings, laser);
         const planner_parameters par = parameters_of(parameters, set);
         bytes_ = navigator_bytes(&set);
         memory_.reset(static_cast<char *>(std::calloc(1, bytes_ + 64)));
@@ -286,7 +289,7 @@ void bind_planner(nb::module_ &m) {
 #undef NAME
     m.attr("PLANNER_SETTINGS") = nb::tuple(names);
     nb::class_<Planner>(m, "Planner")
-        .def(nb::init<nb::handle, const Array &>(), nb::arg("settings"), nb::arg("parameters"))
+        .def(nb::init<nb::handle, nb::handle, const Array &>(), nb::arg("settings"), nb::arg("laser"), nb::arg("parameters"))
         .def("reset", &Planner::reset)
         .def("set_parameters", &Planner::set_parameters)
         .def("add_scan", &Planner::add_scan)

@@ -22,7 +22,7 @@ import numpy as np
 from appl_dist.arguments import ArgumentParser
 from appl_dist.errors import UserError
 from appl_dist.planner import vector_episodes, vectors
-from appl_dist.planner.parameters import Arithmetic
+from appl_dist.planner.planner_settings import Arithmetic
 from appl_dist.planner.vectors import Record, Tally
 
 KINDS = "tp.jsonl.gz, tp_grids.npz, inflation.npz, navfn.npz or sim.jsonl.gz"

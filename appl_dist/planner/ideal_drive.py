@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from appl_dist.spec import LaserGeometry
+
 Array = NDArray[np.float64]
 
 PHYSICS_STEP_S = 0.01
@@ -34,10 +36,11 @@ def drive(pose: Array, twist: Array, command: Array, steps: int) -> tuple[Array,
     return np.array([x, y, yaw]), np.array(speed)
 
 
-def cast_scan(cylinders: Array, pose: Array, laser_x_m: float, beams: int, angle_max_rad: float) -> NDArray[np.float32]:
-    """Ranges (beams,) m to cylinders (n, 3) x, y, radius from a lidar `laser_x_m` ahead; inf = no return."""
-    ox = pose[0] + laser_x_m * math.cos(pose[2])
-    oy = pose[1] + laser_x_m * math.sin(pose[2])
+def cast_scan(cylinders: Array, pose: Array, laser: LaserGeometry) -> NDArray[np.float32]:
+    """Ranges (beams,) m to cylinders (n, 3) x, y, radius; inf = no return."""
+    beams, angle_max_rad = laser.beams, laser.angle_max_rad
+    ox = pose[0] + laser.mount_x_m * math.cos(pose[2])
+    oy = pose[1] + laser.mount_x_m * math.sin(pose[2])
     step = 2 * angle_max_rad / (beams - 1)
     fx, fy, radius = cylinders[:, 0] - ox, cylinders[:, 1] - oy, cylinders[:, 2]
     distance = np.hypot(fx, fy)

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist._native import Planner
-from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.spec import LaserGeometry
 
 Array = NDArray[np.float64]
 
@@ -36,10 +37,15 @@ class State(IntEnum):
 class Navigator:
     """Plans for one robot; not thread-safe, but releases the GIL while it computes."""
 
-    def __init__(self, settings: PlannerSettings = PlannerSettings(), values: Array | None = None) -> None:
-        """`values` (8,) in spec.DWA order, default the hand-tuned ones. ValueError names what cannot be."""
+    def __init__(
+        self,
+        settings: PlannerSettings = PlannerSettings(),
+        laser: LaserGeometry = LaserGeometry(),
+        values: Array | None = None,
+    ) -> None:
+        """`values` (n,) in the order of dwa.DWA, default the hand-tuned ones. ValueError names what cannot be."""
         self.settings = settings
-        self._planner = Planner(settings, _floats(DWA.defaults if values is None else values))
+        self._planner = Planner(settings, laser, _floats(DWA.defaults if values is None else values))
 
     @property
     def native(self) -> Planner:
@@ -51,7 +57,7 @@ class Navigator:
         self._planner.reset(_floats(goal))
 
     def set_parameters(self, values: Array) -> None:
-        """(8,) values in spec.DWA order, in force from the next update and control cycle.
+        """(n,) values in the order of dwa.DWA, in force from the next update and control cycle.
 
         As dynamic_reconfigure does: sample counts are truncated, max_vel_theta holds both ways, a changed
         inflation_radius re-inflates both maps at their next update. ValueError names a value out of range.
@@ -107,6 +113,11 @@ class Navigator:
     def command_valid(self) -> bool:
         """The last control cycle found a valid command (computeVelocityCommands returned true)."""
         return bool(self._planner.valid)
+
+    @property
+    def resolution_m(self) -> float:
+        """Side of a cell of both costmaps."""
+        return self.settings.resolution_m
 
     @property
     def path(self) -> Array:

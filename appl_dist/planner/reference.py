@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.planner.planner_settings import PlannerSettings
 
 LETHAL, INSCRIBED, UNKNOWN = 254, 253, 255
 Cell = tuple[int, int]
@@ -24,7 +24,7 @@ Twist = tuple[float, float]
 
 
 class Parameters(NamedTuple):
-    """The eight tunable values, in spec.DWA order."""
+    """The tunable values, in the order of dwa.DWA."""
 
     max_vel_x: float
     max_vel_theta: float

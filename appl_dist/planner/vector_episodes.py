@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from appl_dist.planner import ideal_drive
 from appl_dist.planner.navigator import Navigator, State
-from appl_dist.planner.parameters import Arithmetic, PlannerSettings
-from appl_dist.planner.vectors import Array, Record, Tally, parameter_values, settings_of
+from appl_dist.planner.planner_settings import Arithmetic
+from appl_dist.planner.vectors import Array, Record, Tally, laser_of, parameter_values, settings_of
+from appl_dist.spec import LaserGeometry
 
 FLAGS = (
     "stuck_left",
@@ -42,12 +43,12 @@ def _recorded_ticks(
     record: Record, arithmetic: Arithmetic
 ) -> Iterator[tuple[Navigator, Array, Array, Any, list[float]]]:
     episode = record["episode"]
-    navigator, settings, cylinders = _start(episode, arithmetic)
+    navigator, laser, cylinders = _start(episode, arithmetic)
     schedule = list(episode.get("schedule") or [])
     for k, want in enumerate(record["out"]["ticks"]):
         _apply_schedule(navigator, schedule, k * CONTROL_PERIOD_S)
         pose, twist = np.array(want[1:4], np.float64), np.array(want[4:6], np.float64)
-        scan = ideal_drive.cast_scan(cylinders, pose, settings.laser_x_m, settings.beams, settings.angle_max_rad)
+        scan = ideal_drive.cast_scan(cylinders, pose, laser)
         yield navigator, pose, twist, scan, want
 
 
@@ -69,14 +70,14 @@ def _replay(
     episode: Record, out: Record, stored: Record, ticks: Tally, plans: Tally, scans: Tally, maps: Tally
 ) -> bool:
     """One episode, in our own closed loop; whether every tick and the way it ended are equal."""
-    navigator, settings, cylinders = _start(episode, "exact")
+    navigator, laser, cylinders = _start(episode, "exact")
     pose, twist = np.array(episode["start"], np.float64), np.zeros(2)
     schedule = list(episode.get("schedule") or [])
     before, end = ticks.equal, "timeout"
     for k, want in enumerate(out["ticks"]):
         now = k * CONTROL_PERIOD_S
         _apply_schedule(navigator, schedule, now)
-        scan = ideal_drive.cast_scan(cylinders, pose, settings.laser_x_m, settings.beams, settings.angle_max_rad)
+        scan = ideal_drive.cast_scan(cylinders, pose, laser)
         planned, command = _ideal_tick(navigator, k, scan, pose, twist, now)
         gap = ideal_drive.clearance(cylinders, pose)
         row = [now, *pose, *twist, *command, *_tick_state(navigator, planned), *navigator.local_origin]
@@ -94,12 +95,13 @@ def _replay(
     return ticks.equal - before == len(out["ticks"]) and out["end"].startswith(end)
 
 
-def _start(episode: Record, arithmetic: Arithmetic) -> tuple[Navigator, PlannerSettings, Array]:
-    """The navigator on its way to the episode's goal, its settings, and the cylinders (n, 3)."""
+def _start(episode: Record, arithmetic: Arithmetic) -> tuple[Navigator, LaserGeometry, Array]:
+    """The navigator on its way to the episode's goal, its lidar, and the cylinders (n, 3)."""
     settings = settings_of(episode, episode["meter_scoring"], arithmetic)
-    navigator = Navigator(settings, parameter_values(episode["params"], episode["inflation_radius"]))
+    laser = laser_of(episode)
+    navigator = Navigator(settings, laser, parameter_values(episode["params"], episode["inflation_radius"]))
     navigator.reset(np.array([*episode["goal"], episode["goal_yaw"]]))
-    return navigator, settings, np.array(episode["cyl"], np.float64).reshape(-1, 3)
+    return navigator, laser, np.array(episode["cyl"], np.float64).reshape(-1, 3)
 
 
 def _apply_schedule(navigator: Navigator, schedule: list[Record], now: float) -> None:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist._native import Planner
-from appl_dist.planner.parameters import Arithmetic, PlannerSettings
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
+from appl_dist.planner.planner_settings import Arithmetic, PlannerSettings
+from appl_dist.spec import LaserGeometry
 
 Array = NDArray[np.float64]
 Record = dict[str, Any]
@@ -55,7 +56,7 @@ class Tally:
 
 
 def parameter_values(params: Record, inflation_radius: float) -> Array:
-    """(8,) spec.DWA values of a vector's parameter dict; the live bias names, as dynamic_reconfigure's."""
+    """(8,) values in the order of dwa.DWA; `params` has the live bias names, as dynamic_reconfigure does."""
     if params["min_vel_theta"] != -params["max_vel_theta"]:
         raise ValueError("min_vel_theta: expected -max_vel_theta")
     names = {"pdist_scale": "path_distance_bias", "gdist_scale": "goal_distance_bias"}
@@ -77,17 +78,21 @@ def settings_of(scene: Record, meter_scoring: bool, arithmetic: Arithmetic = "ex
         "resolution_m": scene["res"],
         "controller_frequency": scene.get("controller_frequency", 20.0),
         "cost_scaling_factor": scene.get("cost_scaling_factor", 10.0),
-        "laser_x_m": scene.get("laser_x", 0.055),
     }
     if "W" in scene:
         known["local_size_m"] = scene["W"] * scene["res"]
     return PlannerSettings(**known)
 
 
+def laser_of(scene: Record) -> LaserGeometry:
+    """The lidar of a scene or an episode: at its own place where it names one, else the Jackal's."""
+    return LaserGeometry(mount_x_m=scene.get("laser_x", LaserGeometry.mount_x_m))
+
+
 def _scene_planner(scene: Record, meter_scoring: bool) -> Any:
     """The C planner with the scene's map, plan and parameters."""
     values = parameter_values(scene["params"], scene["inflation_radius"])
-    planner = Planner(settings_of(scene, meter_scoring), values)
+    planner = Planner(settings_of(scene, meter_scoring), laser_of(scene), values)
     planner.reset(np.zeros(3))
     lethal = np.zeros((scene["H"], scene["W"]), np.uint8)
     lethal.flat[scene["lethal"]] = 254
@@ -165,7 +170,7 @@ def inflated_maps(data: Any) -> Iterator[Tally]:
             # What makes the inscribed radius of the padded footprint the vector's.
             half_width_m=float(data["inscribed_radius"][i]) - 0.1,
         )
-        planner = Planner(settings, values)
+        planner = Planner(settings, LaserGeometry(), values)
         lethal = np.unpackbits(packed[i], axis=1)[:, :size].astype(np.uint8) * 254
         planner.load_map(True, lethal, *data["origin"][i])
         planner.inflate(True)
@@ -192,7 +197,7 @@ def global_plans(data: Any, arithmetic: Arithmetic = "exact") -> Iterator[Tally]
     for i in range(len(arrays["ok"])):
         values = DWA.defaults
         values[DWA.names.index("inflation_radius")] = arrays["inflation_radius"][i]
-        planner = Planner(settings, values)
+        planner = Planner(settings, LaserGeometry(), values)
         lethal = np.zeros(tuple(shape), np.uint8)
         lethal.flat[arrays["lethal_flat"][lethal_at[i] : lethal_at[i + 1]]] = 254
         planner.load_map(False, lethal, *origin)

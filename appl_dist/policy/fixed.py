@@ -9,7 +9,7 @@ from appl_dist.errors import UserError
 from appl_dist.policy_file import PolicyFile
 from appl_dist.spec import FloatArray, ParameterSpace
 
-# Parameter sets published for APPLI (ICRA 2021, Tab. I) and APPLD (RA-L 2020, Tab. I), in spec.DWA order:
+# Parameter sets published for APPLI (ICRA 2021, Tab. I) and APPLD (RA-L 2020, Tab. I), in the order of planner/dwa.py:
 # max_vel_x, max_vel_theta, vx_samples, vtheta_samples, occdist, pdist, gdist scales, inflation_radius.
 PUBLISHED_SETS: dict[str, tuple[float, ...]] = {
     "appli:A1": (0.26, 2.00, 13, 44, 0.57, 0.76, 0.94, 0.02),
@@ -53,10 +53,10 @@ def default_policy(space: ParameterSpace) -> StaticPolicy:
 
 
 def published_set(name: str, space: ParameterSpace) -> StaticPolicy:
-    """A set of PUBLISHED_SETS. UserError: the space is not DWA's or does not hold it."""
+    """A set of PUBLISHED_SETS. UserError: the space is not of the planner dwa or does not hold it."""
     values = PUBLISHED_SETS[name]
-    if len(space) != len(values) or not space.name.startswith("dwa"):
-        raise UserError(f"policy {name!r}: a set for the DWA planner; the space is {space.name!r}")
+    if len(space) != len(values) or space.planner != "dwa":
+        raise UserError(f"policy {name!r}: a set for the planner dwa; the space {space.name!r} is of {space.planner!r}")
     return StaticPolicy(np.array(values), space, name)
 
 

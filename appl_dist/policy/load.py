@@ -12,7 +12,7 @@ from appl_dist.policy.fixed import PUBLISHED_SETS, StaticPolicy, default_policy,
 from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.registry import Registry
-from appl_dist.spec import PAPER, FloatArray, ObservationLayout, ParameterSpace
+from appl_dist.spec import FloatArray, ObservationLayout, ParameterSpace
 
 
 class Policy(Protocol):
@@ -51,7 +51,7 @@ POLICIES: Registry[Factory] = Registry(
 )
 
 
-def load_policy(spec: str, space: ParameterSpace, observation: ObservationLayout = PAPER) -> Policy:
+def load_policy(spec: str, space: ParameterSpace, observation: ObservationLayout) -> Policy:
     """The policy a user names: `default`, a published set such as `appli:A1` or `appld:curve`,
     `set:max_vel_x=2.0,vx_samples=12` (the rest default), a registered `KIND` or `KIND:TEXT`, or a policy file's path.
     """
@@ -67,9 +67,14 @@ def load_policy(spec: str, space: ParameterSpace, observation: ObservationLayout
 
 
 def policy_from_file(
-    file: PolicyFile, space: ParameterSpace, source: str, observation: ObservationLayout = PAPER
+    file: PolicyFile, space: ParameterSpace, source: str, observation: ObservationLayout
 ) -> MLPPolicy | StaticPolicy:
     """The runnable policy of `file`, refused if it was made for other parameters, bounds or observations."""
+    if file.space.name == space.name and file.space != space:
+        raise UserError(
+            f"{source}: made for a parameter space {space.name!r} with other names or bounds than that of this run; "
+            "its actions would mean other values"
+        )
     if file.space != space:
         raise UserError(
             f"{source}: made for the parameter space {file.space.name!r}, this run has {space.name!r}; "

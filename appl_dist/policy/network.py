@@ -22,14 +22,15 @@ class MLPPolicy:
     def __init__(self, file: PolicyFile) -> None:
         if not file.weights:
             raise ValueError("policy file: holds fixed values, not an MLP")
-        self.file = file
+        assert file.observation is not None
+        self.file, self._size = file, file.observation.size
         self._network = Network()
         for w, b in zip(file.weights, file.biases, strict=True):
             self._network.add(np.ascontiguousarray(w), np.ascontiguousarray(b))
 
     def act(self, observation: FloatArray) -> FloatArray:
         """(n,) float32 for an observation (size,) float32; ValueError for another shape or type."""
-        size = self.file.observation.size
+        size = self._size
         if observation.shape != (size,) or observation.dtype != np.float32:
             got = f"{observation.dtype}{observation.shape}"
             raise ValueError(f"observation: got {got}; expected float32({size},)")

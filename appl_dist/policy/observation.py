@@ -8,13 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appl_dist.registry import Registry
-from appl_dist.spec import PAPER, FloatArray, ObservationLayout, ParameterSpace
+from appl_dist.spec import FloatArray, ObservationLayout, ParameterSpace
+
+PAPER = "paper"
+CLIP_M = 2.0  # of the papers' ranges
+
+
+@dataclass(frozen=True)
+class ObservationSettings:
+    """What a policy sees. name: an entry of OBSERVATIONS."""
+
+    name: str = PAPER
 
 
 class ObservationBuilder(Protocol):
@@ -34,7 +45,7 @@ class PaperObservation:
     """The papers' observation (APPL journal, Sec. V-D): the clipped ranges, the bearing / pi, the parameters."""
 
     def __init__(self, beams: int, space: ParameterSpace) -> None:
-        self.layout = ObservationLayout(PAPER.name, beams, beams + 1 + len(space), PAPER.clip_m, PAPER.version)
+        self.layout = ObservationLayout(PAPER, beams, beams + 1 + len(space), CLIP_M)
         self._space = space
 
     def build(self, ranges: FloatArray, bearing_rad: float, values: NDArray[np.float64]) -> FloatArray:
@@ -51,5 +62,10 @@ class PaperObservation:
 
 # Name to a factory, which gets the number of lidar beams and the parameter space.
 OBSERVATIONS: Registry[Callable[[int, ParameterSpace], ObservationBuilder]] = Registry(
-    "observation", {PAPER.name: PaperObservation}
+    "observation", {PAPER: PaperObservation}
 )
+
+
+def layout_of(name: str, beams: int, space: ParameterSpace) -> ObservationLayout:
+    """The layout of the registered observation `name`; UserError lists the names."""
+    return OBSERVATIONS.get(name)(beams, space).layout

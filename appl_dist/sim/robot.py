@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appl_dist._native import Lidar, VehicleSpec
-from appl_dist.spec import LIDAR_BEAMS
+from appl_dist.spec import LaserGeometry
 
 DRIVES = ("tyres", "ideal")
 
@@ -105,13 +105,13 @@ class RobotSettings:
 class LidarSettings:
     """The Jackal's Hokuyo UST-10LX as Gazebo simulates it; 0.305 m above the ground, level, looking ahead."""
 
-    beams: int = LIDAR_BEAMS
-    angle_min_rad: float = -2.35619
-    angle_max_rad: float = 2.35619
+    beams: int = LaserGeometry.beams
+    angle_min_rad: float = -LaserGeometry.angle_max_rad
+    angle_max_rad: float = LaserGeometry.angle_max_rad
     range_min_m: float = 0.1
     range_max_m: float = 30.0
     noise_m: float = 0.001  # standard deviation
-    mount_x_m: float = 0.055  # in base_link
+    mount_x_m: float = LaserGeometry.mount_x_m  # in base_link
 
     def __post_init__(self) -> None:
         _require("lidar.beams", self.beams, 4, 100_000)
@@ -121,6 +121,15 @@ class LidarSettings:
         _require("lidar.range_max_m", self.range_max_m, self.range_min_m + 1e-6, 1000.0)
         _require("lidar.noise_m", self.noise_m, 0.0, 1.0)
         _require("lidar.mount_x_m", self.mount_x_m, -0.2, 0.2)
+
+    @property
+    def geometry(self) -> LaserGeometry:
+        """What a planner is told of this lidar. ValueError: it looks farther to one side than to the other."""
+        if self.angle_min_rad != -self.angle_max_rad:
+            raise ValueError(
+                f"lidar.angle_min_rad: got {self.angle_min_rad}; planners need -angle_max_rad, {-self.angle_max_rad}"
+            )
+        return LaserGeometry(self.beams, self.mount_x_m, self.angle_max_rad)
 
     def native(self) -> Lidar:
         """The C ray caster of this lidar."""

@@ -141,7 +141,7 @@ class Simulator:
         return (v - turn) / self._wheel_radius_m, (v + turn) / self._wheel_radius_m
 
     def scan(self) -> NDArray[np.float32]:
-        """(720,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""
+        """(beams,) ranges in m at this moment, inf = no return; noise is a function of (seed, time, beam) alone."""
         return self.scan_from(self._robot.pose, self._robot.time_ms)
 
     def scan_from(self, pose: Pose, time_ms: int) -> NDArray[np.float32]:

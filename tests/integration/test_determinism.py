@@ -15,7 +15,7 @@ import pytest
 
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.protocol import PROTOCOLS
-from appl_dist.planner.parameters import Arithmetic, PlannerSettings
+from appl_dist.planner.planner_settings import Arithmetic, PlannerSettings
 from appl_dist.sim.generate import generate_worlds
 
 EPISODES = 50
@@ -54,7 +54,7 @@ def run(history: str, arithmetic: Arithmetic) -> list[tuple[str, bool]]:
         return [episode(env, k) for k in range(EPISODES)]
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
-    other = NavigationEnv(generate_worlds(3, seed=9), protocol=PROTOCOLS["challenge"])
+    other = NavigationEnv(generate_worlds(3, seed=9), protocol=PROTOCOLS.get("challenge"))
     other.reset(seed=4)
     found = {}
     for k in reversed(range(EPISODES)):

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import DWA, OBSERVATION_SIZE
 from tests.integration.test_train import free_port
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
 EVALUATION = ("world.count=6", "evaluation.worlds=0:3", "evaluation.trials=2", "evaluation.workers=1")
 
@@ -69,7 +70,7 @@ def policy(tmp_path: Path) -> Path:
     shapes = ((16, OBSERVATION_SIZE), (len(DWA), 16))
     weights = [rng.normal(0.0, m**-0.5, (n, m)).astype(np.float32) for n, m in shapes]
     biases = [np.zeros(n, np.float32) for n, _ in shapes]
-    file = PolicyFile(weights, biases, space=DWA, epoch=1, version=1, transitions=0)
+    file = PolicyFile(weights, biases, space=DWA, observation=LAYOUT, epoch=1, version=1, transitions=0)
     path = tmp_path / "mine.safetensors"
     file.save(path)
     return path

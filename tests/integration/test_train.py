@@ -18,6 +18,7 @@ import pytest
 from appl_dist.learner.replay import Replay
 from appl_dist.policy_file import PolicyFile
 from tests.metrics_file import transitions
+from tests.paper_sizes import SIZES
 
 SMALL = [
     "world.count=6",
@@ -90,7 +91,7 @@ def _command(process: psutil.Process) -> list[str]:
 
 def accounts(folder: Path) -> dict[str, tuple[int, int, int]]:
     """Per actor: rollouts numbered, still in the spool, and in replay."""
-    with Replay(folder / "replay", 10_000, 1, 0.99) as replay:
+    with Replay(folder / "replay", 10_000, 1, 0.99, **SIZES) as replay:
         result = {}
         for spool in sorted((folder / "spool").iterdir()):
             numbered = json.loads((spool / "spool.json").read_text())["next_seq"]
@@ -98,7 +99,7 @@ def accounts(folder: Path) -> dict[str, tuple[int, int, int]]:
             result[spool.name] = (
                 max([numbered, *(s + 1 for s in pending)]),
                 len(pending),
-                replay.expected_seq(spool.name),
+                replay.ring.expected_seq(spool.name),
             )
         return result
 

@@ -24,6 +24,7 @@ from appl_dist.wire.liveness import Roster
 from appl_dist.wire.session import open_session
 from appl_dist.wire.upload import UploadServer
 from appl_dist.wire.wire_settings import WireSettings
+from tests.paper_sizes import SIZES
 from tests.unit.wire.support import free_endpoint, wait_until
 
 MESSAGES = int(os.environ.get("APPL_FUZZ_MESSAGES", "10000"))
@@ -37,8 +38,11 @@ def start(*arguments: object) -> subprocess.Popen[str]:
 
 def test_nothing_received_can_hurt(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     settings = WireSettings(free_endpoint(), lease_s=10.0, timeout_s=30.0)
-    with open_session(settings, listen=True) as session, Replay(tmp_path / "replay", 50_000, 1, 0.99) as replay:
-        server = UploadServer(session, "run1", Ingest(replay, None, "run1"), epoch=1, grace_s=10.0)
+    with (
+        open_session(settings, listen=True) as session,
+        Replay(tmp_path / "replay", 50_000, 1, 0.99, **SIZES) as replay,
+    ):
+        server = UploadServer(session, "run1", Ingest(replay.ring, None, "run1"), epoch=1, grace_s=10.0)
         roster = Roster(session, "run1")
         control = ControlServer(session, "run1", "{}", epoch=1)
         good = start("tests.unit.wire.child", "sender", settings.endpoint, tmp_path, "a0", 10**6)
@@ -48,8 +52,8 @@ def test_nothing_received_can_hurt(tmp_path: Path, caplog: pytest.LogCaptureFixt
         ]
         outputs = [fuzzer.communicate(timeout=1000) for fuzzer in fuzzers]
         took_s = time.monotonic() - began_at
-        stored_meanwhile = replay.rollouts_total
-        goes_on = wait_until(lambda: replay.rollouts_total > stored_meanwhile or good.poll() is not None, 60.0)
+        stored_meanwhile = replay.ring.rollouts_total
+        goes_on = wait_until(lambda: replay.ring.rollouts_total > stored_meanwhile or good.poll() is not None, 60.0)
         assert goes_on and good.poll() is None, good.communicate()  # the good actor goes on afterwards
         control.set_state("stop")
         out = good.communicate(timeout=60)

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from appl_dist import _native
-from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.spec import LaserGeometry
 
 EXTREMES = st.sampled_from([-7.0, -5.0, -4.999999, 0.0, 0.025, 4.95, 4.975, 5.0, 5.000001, 300.0, 1e12])
 
@@ -18,7 +19,7 @@ def random_planner(rng, chosen, blocks, smear):
     """A planner in the middle of a local map with random blocks and costs, and a plan across it."""
     values = np.array([rng.uniform(0.1, 4), rng.uniform(0.3, 6), rng.integers(1, 15), rng.integers(1, 45),
                        *rng.uniform(0, 2, 3), rng.uniform(0, 0.7)])  # fmt: skip
-    planner = _native.Planner(chosen, values)
+    planner = _native.Planner(chosen, LaserGeometry(), values)
     planner.reset(np.zeros(3))
     side = len(planner.map(True, False))
     cost = np.zeros((side, side), np.uint8)
@@ -90,7 +91,7 @@ def test_poses_at_edges_and_absurd_twists_are_survived(seed, x, y, yaw, v, w):
 
 
 def test_empty_and_one_point_plans():
-    planner = _native.Planner(PlannerSettings(), DWA.defaults)
+    planner = _native.Planner(PlannerSettings(), LaserGeometry(), DWA.defaults)
     planner.reset(np.zeros(3))
     planner.load_map(True, np.zeros((200, 200), np.uint8), -5.0, -5.0)
     planner.set_plan(np.zeros((0, 2)), 0.0)
@@ -104,7 +105,7 @@ def test_empty_and_one_point_plans():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_is_refused_by_name(bad):
-    planner = _native.Planner(PlannerSettings(), DWA.defaults)
+    planner = _native.Planner(PlannerSettings(), LaserGeometry(), DWA.defaults)
     with pytest.raises(ValueError, match="goal"):
         planner.reset(np.array([0.0, bad, 0.0]))
     for k in range(8):
@@ -121,17 +122,18 @@ def test_what_is_not_finite_is_refused_by_name(bad):
 
 
 @pytest.mark.parametrize("change", [{"local_size_m": 1.0}, {"local_size_m": 12.0}, {"global_size_m": 1.0},
-                                    {"beams": 2}, {"obstacle_range": 0.0}, {"raytrace_range": 0.0},
+                                    {"obstacle_range": 0.0}, {"raytrace_range": 0.0},
                                     {"half_length_m": 0.05, "half_width_m": 0.05, "footprint_padding": 0.0},
                                     {"sim_time": 0.01}, {"sim_time": 10.0}, {"sim_granularity": 5.0}])  # fmt: skip
 @pytest.mark.parametrize("arithmetic", ["exact", "fast"])
-def test_degenerate_settings_run(change, arithmetic):
+@pytest.mark.parametrize("beams", [2, 720])
+def test_degenerate_settings_run(change, arithmetic, beams):
     if change.get("local_size_m") == 1.0:
         change = change | {"half_length_m": 0.1, "half_width_m": 0.1, "footprint_padding": 0.01}
     chosen = PlannerSettings(**change, arithmetic=arithmetic)
-    planner = _native.Planner(chosen, DWA.defaults)
+    planner = _native.Planner(chosen, LaserGeometry(beams), DWA.defaults)
     planner.reset(np.array([2.0, 1.0, 0.0]))
-    scan = np.full(int(chosen.beams), 0.8, np.float32)
+    scan = np.full(beams, 0.8, np.float32)
     for k in range(5):
         assert np.isfinite(planner.cycle(scan, np.array([0.1 * k, 0, 0]), np.zeros(2), 0.05 * k)).all()
 

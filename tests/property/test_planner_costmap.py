@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from appl_dist import _native
-from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.spec import LaserGeometry
 
-BEAMS = 90
+LASER = LaserGeometry(beams=90)
 RES = 0.05
 
 
@@ -92,15 +93,15 @@ class Layer:
                 self.cells[cell[1], cell[0]] = True
 
 
-def points_of(ranges, pose, chosen):
+def points_of(ranges, pose):
     """(n, 2) float32 as they pass through two clouds."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    sensor = pose[0] + chosen.laser_x_m * c, pose[1] + chosen.laser_x_m * s
+    sensor = pose[0] + LASER.mount_x_m * c, pose[1] + LASER.mount_x_m * s
     points = []
     for i, r in enumerate(ranges.astype(float)):
         if not 0 < r < 1e6:
             continue
-        angle = -chosen.angle_max_rad + i * (2 * chosen.angle_max_rad / (BEAMS - 1))
+        angle = -LASER.angle_max_rad + i * (2 * LASER.angle_max_rad / (LASER.beams - 1))
         x, y = float(np.float32(r * math.cos(angle))), float(np.float32(r * math.sin(angle)))
         points.append((float(np.float32(sensor[0] + (x * c - y * s))), float(np.float32(sensor[1] + (x * s + y * c)))))
     return sensor, points
@@ -115,19 +116,19 @@ def points_of(ranges, pose, chosen):
 def test_scans_free_and_mark_the_cells_of_the_plain_layer(seed, ranges_m, reach):
     rng = np.random.default_rng(seed)
     chosen = PlannerSettings(
-        local_size_m=4.0, global_size_m=5.0, global_origin_m=-2.5, beams=BEAMS, half_length_m=0.05, half_width_m=0.05,
+        local_size_m=4.0, global_size_m=5.0, global_origin_m=-2.5, half_length_m=0.05, half_width_m=0.05,
         footprint_padding=0.0, raytrace_range=ranges_m[0], obstacle_range=ranges_m[1],
     )  # fmt: skip
-    planner = _native.Planner(chosen, with_radius(0.2))
+    planner = _native.Planner(chosen, LASER, with_radius(0.2))
     planner.reset(np.array([2.0, 0.0, 0.0]))
     layers = {True: Layer(80, (0.0, 0.0), True), False: Layer(100, (-2.5, -2.5), False)}
     pose = np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)])
     for _ in range(6):
         pose = pose + rng.normal(0, [0.2, 0.2, 0.5])
         pose[2] = math.remainder(pose[2], math.tau)
-        scan = (reach * (1 + rng.uniform(-0.9, 0.9) * rng.random(BEAMS))).astype(np.float32)
-        scan[rng.random(BEAMS) < 0.1] = np.inf
-        sensor, points = points_of(scan, pose, chosen)
+        scan = (reach * (1 + rng.uniform(-0.9, 0.9) * rng.random(LASER.beams))).astype(np.float32)
+        scan[rng.random(LASER.beams) < 0.1] = np.inf
+        sensor, points = points_of(scan, pose)
         planner.add_scan(scan, pose)
         for local, layer in layers.items():
             (planner.update_local if local else planner.update_global)(pose)
@@ -159,7 +160,7 @@ def random_walls(rng, side):
 def inflated(arithmetic, radius_m, lethal):
     side = len(lethal)
     chosen = PlannerSettings(local_size_m=side * RES, global_size_m=2.0, arithmetic=arithmetic)
-    planner = _native.Planner(chosen, with_radius(radius_m))
+    planner = _native.Planner(chosen, LaserGeometry(), with_radius(radius_m))
     planner.load_map(True, lethal.astype(np.uint8) * 254, 0.0, 0.0)
     planner.inflate(True)
     return planner.map(True, False)
@@ -188,7 +189,7 @@ def test_costs_are_those_of_the_nearest_lethal_cell(seed, cells):
 def test_maps_after_any_way_are_those_inflated_at_once(seed):
     """Scans, moves and radii in any order: the local map holds what its obstacles give, inflated at once."""
     rng = np.random.default_rng(seed)
-    planner = _native.Planner(PlannerSettings(global_size_m=2.0), with_radius(0.3))
+    planner = _native.Planner(PlannerSettings(global_size_m=2.0), LaserGeometry(), with_radius(0.3))
     planner.reset(np.array([5.0, 0.0, 0.0]))
     pose = np.zeros(3)
     for _ in range(12):
@@ -214,7 +215,7 @@ def test_maps_renewed_in_part_are_those_made_anew(seed, kind, rolling):
     chosen = PlannerSettings(
         local_size_m=side_m, global_size_m=side_m, global_origin_m=-side_m / 2, arithmetic=arithmetic
     )
-    planner, anew = (_native.Planner(chosen, with_radius(0.2)) for _ in range(2))
+    planner, anew = (_native.Planner(chosen, LaserGeometry(), with_radius(0.2)) for _ in range(2))
     for each in (planner, anew):
         each.reset(np.array([3.0, 0.0, 0.0]))
     pose, walls = np.zeros(3), rng.uniform(0.8, 3.5, 60).repeat(12)

@@ -5,8 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from appl_dist import _native
-from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.spec import LaserGeometry
 
 SIDE = 160
 
@@ -20,7 +21,7 @@ def test_bounded_wave_gives_the_plan_of_the_whole_wave(seed, blocks, radius):
         lethal[y : y + 2, x : x + 2] = 254
     values = DWA.defaults
     values[7] = radius
-    planner = _native.Planner(PlannerSettings(global_size_m=SIDE * 0.05, global_origin_m=0.0), values)
+    planner = _native.Planner(PlannerSettings(global_size_m=SIDE * 0.05, global_origin_m=0.0), LaserGeometry(), values)
     planner.load_map(False, lethal, 0.0, 0.0)
     planner.inflate(False)
     for _ in range(3):  # the second and third start from what the one before needed
@@ -43,7 +44,7 @@ def test_plans_along_a_drive_with_a_changing_map(seed, blocks, fast):
         lethal[y : y + 2, x : x + 2] = 254
     arithmetic = "fast" if fast else "exact"
     planner_settings = PlannerSettings(global_size_m=SIDE * 0.05, global_origin_m=0.0, arithmetic=arithmetic)
-    bounded, whole = (_native.Planner(planner_settings, DWA.defaults) for _ in range(2))
+    bounded, whole = (_native.Planner(planner_settings, LaserGeometry(), DWA.defaults) for _ in range(2))
     start, goal = rng.uniform(0.1, SIDE * 0.05 - 0.1, (2, 2))
     for _ in range(6):
         for x, y in rng.integers(0, SIDE, (8, 2)):

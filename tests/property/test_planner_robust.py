@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from appl_dist.planner.navigator import Navigator, State
-from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.planner.planner_settings import PlannerSettings
 
 HIGHEST = np.array([20.0, 20.0, 300.0, 300.0, 5.0, 5.0, 5.0, 1.0])
 LOWEST = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])

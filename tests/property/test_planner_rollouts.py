@@ -5,8 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from appl_dist import _native
-from appl_dist.planner.parameters import PlannerSettings
+from appl_dist.planner.planner_settings import PlannerSettings
 from appl_dist.planner.reference import Costmap, Parameters, TrajectoryScorer
+from appl_dist.spec import LaserGeometry
 
 SIDE = 80  # cells, 4 m
 
@@ -51,7 +52,7 @@ def test_rollouts_equal_the_plain_python(scene):
     origin = (-2.0, -2.0)
     found = {}
     for trace in (False, True):
-        planner = _native.Planner(chosen, values)
+        planner = _native.Planner(chosen, LaserGeometry(), values)
         planner.reset(np.zeros(3))
         costs = inflated(planner, lethal, origin)
         planner.set_plan(plan, 0.0)
@@ -91,7 +92,7 @@ def test_the_search_takes_what_scoring_every_sample_takes(seed, side, speeds, ra
     values = np.array([*rng.uniform([0.2, 0.4], [2, 3]), speeds, rates, *rng.uniform(0, [1, 1.5, 2, 0.5])])
     found = []
     for trace in (False, True):
-        planner = _native.Planner(PlannerSettings(local_size_m=side * 0.05), values)
+        planner = _native.Planner(PlannerSettings(local_size_m=side * 0.05), LaserGeometry(), values)
         planner.reset(np.zeros(3))
         inflated(planner, lethal, origin)
         planner.set_plan(plan, 0.0)

@@ -11,11 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from appl_dist.errors import UserError
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy.load import policy_from_file
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import DWA, OBSERVATION_SIZE
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
-BLOB = PolicyFile((np.zeros((8, OBSERVATION_SIZE), np.float32),), (np.zeros(8, np.float32),)).to_bytes()
+BLOB = PolicyFile(
+    (np.zeros((8, OBSERVATION_SIZE), np.float32),), (np.zeros(8, np.float32),), space=DWA, observation=LAYOUT
+).to_bytes()
 HEADER = 8 + struct.unpack("<Q", BLOB[:8])[0]
 
 
@@ -25,9 +28,8 @@ def refused_or_acts(blob: bytes) -> None:
     except UserError:
         return
     assert found.to_bytes()
-    action = policy_from_file(found, found.space, "x", found.observation).act(
-        np.zeros(found.observation.size, np.float32)
-    )
+    layout = found.observation or LAYOUT
+    action = policy_from_file(found, found.space, "x", layout).act(np.zeros(layout.size, np.float32))
     assert action.shape == (len(found.space),)
     assert (np.abs(action) <= 1).all()
 
@@ -77,6 +79,8 @@ def test_deep_nesting_is_refused() -> None:
 
 def test_the_untouched_blob_acts() -> None:
     assert (
-        policy_from_file(PolicyFile.from_bytes(BLOB), DWA, "x").act(np.zeros(OBSERVATION_SIZE, np.float32)).tolist()
+        policy_from_file(PolicyFile.from_bytes(BLOB), DWA, "x", LAYOUT)
+        .act(np.zeros(OBSERVATION_SIZE, np.float32))
+        .tolist()
         == [0] * 8
     )

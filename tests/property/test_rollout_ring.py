@@ -40,16 +40,16 @@ def test_the_ring_holds_the_newest_rollouts_and_their_n_step_targets(
         inserted: list[Rollout] = []
         for seq, (n, terminal) in enumerate(lengths):
             r = rollout(1000 * seq, n, terminal, rewards=np.linspace(-1, 1, n))
-            replay.insert(r, "a", seq)
+            replay.ring.insert(r, "a", seq)
             inserted.append(r)
             if reopen:
                 replay.close()
                 replay = small_replay(folder, CAPACITY, n_step, GAMMA)
             # What is held is the newest rollouts, whole, as many as fit: at least the last one.
             held: list[Rollout] = []
-            while sum(map(len, held)) < len(replay):
+            while sum(map(len, held)) < len(replay.ring):
                 held.append(inserted[-1 - len(held)])
-            assert sum(map(len, held)) == len(replay) <= CAPACITY
+            assert sum(map(len, held)) == len(replay.ring) <= CAPACITY
             assert held
         batch = replay.sample(600, np.random.default_rng(0))
         wanted = expected(held, n_step)
@@ -68,11 +68,11 @@ def test_the_ring_holds_the_newest_rollouts_and_their_n_step_targets(
 def test_with_long_rollouts_the_ring_is_filled_as_far_as_whole_rollouts_allow(lengths: list[int]) -> None:
     replay = small_replay(None, 10 * CAPACITY)
     for seq, n in enumerate(lengths):
-        replay.insert(rollout(0, n), "a", seq)
+        replay.ring.insert(rollout(0, n), "a", seq)
     kept = 0
     for n in reversed(lengths):
         if kept + n > 10 * CAPACITY:
             break
         kept += n
     # The end of a lap may stay empty by less than one rollout.
-    assert kept - CAPACITY <= len(replay) <= kept
+    assert kept - CAPACITY <= len(replay.ring) <= kept

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from appl_dist.spec import LIDAR_BEAMS, OBSERVATION_SIZE, Rollout
+from appl_dist.spec import Rollout
 from appl_dist.wire.codec import (
     Ack,
     StateHeader,
@@ -19,6 +19,7 @@ from appl_dist.wire.codec import (
     encode_header,
     encode_rollout,
 )
+from tests.paper_sizes import LIDAR_BEAMS, OBSERVATION_SIZE
 from tests.unit.wire.support import make_rollout
 
 unit = st.floats(-1, 1, width=32)
@@ -34,6 +35,7 @@ def rollouts(draw):
         draw(arrays(np.float32, n, elements=st.floats(-(2.0**100), 2.0**100, width=32))),
         draw(st.booleans()),
         draw(st.dictionaries(st.text(max_size=10), plain | st.lists(plain, max_size=3), max_size=5)),
+        LIDAR_BEAMS,
     )
 
 

@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 
 from appl_dist.errors import UserError
+from appl_dist.planner.dwa import DWA, DWA_WIDE
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import DWA, DWA_WIDE, OBSERVATION_SIZE, Parameter, ParameterSpace
+from appl_dist.spec import Parameter, ParameterSpace
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
 
 def mlp(**change: Any) -> PolicyFile:
     rng = np.random.default_rng(0)
     sizes = (OBSERVATION_SIZE, 6, 8)
     fields: dict[str, Any] = {
+        "space": DWA,
+        "observation": LAYOUT,
         "weights": tuple(rng.normal(size=(o, i)).astype(np.float32) for i, o in pairwise(sizes)),
         "biases": tuple(rng.normal(size=o).astype(np.float32) for o in sizes[1:]),
     }
@@ -44,7 +48,7 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     for a, b in zip((*saved.weights, *saved.biases), (*found.weights, *found.biases), strict=True):
         np.testing.assert_array_equal(a, b)
     assert (found.epoch, found.version, found.transitions) == (2, 7, 123)
-    assert found.space is DWA_WIDE
+    assert found.space == DWA_WIDE
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["policy.safetensors"]
 
 
@@ -63,7 +67,9 @@ def test_half_the_bytes_give_the_same_policy_within_float16s_rounding() -> None:
 
 
 def test_fixed_values_of_an_own_space_come_back() -> None:
-    space = ParameterSpace("own", (Parameter("gain", 1.0, 0.5, 2.0, "1/s"), Parameter("count", 3, 1, 5, "", True)))
+    space = ParameterSpace(
+        "own", "mine", (Parameter("gain", 1.0, 0.5, 2.0, "1/s"), Parameter("count", 3, 1, 5, "", True))
+    )
     found = PolicyFile.from_bytes(PolicyFile(values=np.array([1.5, 4.0]), space=space).to_bytes())
     assert found.space == space
     assert found.values is not None
@@ -100,7 +106,7 @@ def test_a_policy_that_cannot_be_names_the_field(change: dict[str, Any], message
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda h: h.update(format=9), "format: got 9; this version reads 2"),
+        (lambda h: h.update(format=9), "format: got 9; this version reads 3"),
         (lambda h: h.update(version="7"), "version: got '7'; expected int"),
         (lambda h: h.update(version=True), "version: got True; expected int"),
         (lambda h: h.pop("space"), "space: missing from the header"),
@@ -109,7 +115,8 @@ def test_a_policy_that_cannot_be_names_the_field(change: dict[str, Any], message
         (lambda h: h.update(activation="tanh"), "activation: got 'tanh'; allowed 'relu'"),
         (lambda h: h["observation"].update(clip_m=-1.0), "observation.clip_m: got -1.0"),
         (lambda h: h["observation"].update(size=700), "scan of 720 entries in 700"),
-        (lambda h: h["space"]["parameters"][0].update(high=3.0), "space 'dwa': its bounds or names differ"),
+        (lambda h: h.pop("observation"), "observation: got none; a network needs"),
+        (lambda h: h["space"].pop("planner"), r"space\.planner: missing"),
         (lambda h: h["space"]["parameters"][1].update(low="a"), r"space\.parameters\[1\]\.low: got 'a'"),
     ],
 )

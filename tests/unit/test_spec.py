@@ -3,7 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from appl_dist.spec import DWA, DWA_WIDE, OBSERVATION_SIZE, Rollout
+from appl_dist.planner.dwa import DWA, DWA_WIDE
+from appl_dist.spec import Rollout
+from tests.paper_sizes import LIDAR_BEAMS, OBSERVATION_SIZE
 
 
 @given(st.lists(st.floats(-1, 1, width=32), min_size=8, max_size=8))
@@ -28,6 +30,7 @@ def rollout(n: int = 3, **changes: object) -> Rollout:
         "rewards": np.zeros(n, np.float32),
         "terminal": False,
         "info": {},
+        "scan_size": LIDAR_BEAMS,
     }
     return Rollout(**{**fields, **changes})  # type: ignore[arg-type]
 

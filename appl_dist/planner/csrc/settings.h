@@ -4,7 +4,7 @@
 #include <stdbool.h>
 
 // clang-format off
-// Names and units as documented in planner/parameters.py, PlannerSettings.
+// Names and units as documented in planner/planner_settings.py, PlannerSettings.
 #define PLANNER_SETTINGS(X)                                                                                   \
     X(acc_lim_x) X(acc_lim_theta) X(min_vel_x) X(min_in_place_vel_theta) X(max_rotational_vel) X(escape_vel)  \
     X(xy_goal_tolerance) X(yaw_goal_tolerance) X(rot_stopped_velocity) X(trans_stopped_velocity)              \
@@ -13,7 +13,7 @@
     X(meter_scoring) X(cost_scaling_factor)                                                                   \
     X(half_length_m) X(half_width_m) X(footprint_padding)                                                     \
     X(local_size_m) X(global_size_m) X(global_origin_m) X(resolution_m)                                       \
-    X(obstacle_range) X(raytrace_range) X(laser_x_m) X(beams) X(angle_max_rad)                                \
+    X(obstacle_range) X(raytrace_range)                                                                       \
     X(controller_patience) X(planner_patience)                                                                \
     X(rotate_max_vel_theta) X(rotate_granularity_rad)
 // clang-format on
@@ -22,9 +22,10 @@ typedef struct {
 #define FIELD(name) double name;
     PLANNER_SETTINGS(FIELD)
 #undef FIELD
+    double beams, laser_x_m, angle_max_rad;  // spec.LaserGeometry
 } planner_settings;
 
-// Order of spec.DWA. Sample counts are whole numbers; max_vel_theta holds for both directions.
+// Order of planner/dwa.py, DWA. Sample counts are whole numbers; max_vel_theta holds for both directions.
 typedef struct {
     double max_vel_x, max_vel_theta;  // m/s, rad/s
     double vx_samples, vtheta_samples;

@@ -15,11 +15,12 @@ from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.exploration import ExplorationSettings
 from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.spool import Spool
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy_file import PolicyFile
 from appl_dist.sim.generate import generate_worlds
-from appl_dist.spec import OBSERVATION_SIZE
 from appl_dist.wire.codec import decode_rollout
 from appl_dist.wire.run_status import Progress
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
 SILENT = ExplorationSettings(sigma_start=0.0, sigma_floor=0.0, uniform_fraction=0.0)
 
@@ -35,12 +36,16 @@ class Constant:
         self.asked += 1
         bias = np.full(8, np.arctanh(self.version / 10.0), np.float32)
         weights = (np.zeros((8, OBSERVATION_SIZE), np.float32),)
-        return 1, self.version, PolicyFile(weights, (bias,), epoch=1, version=self.version).to_bytes()
+        return (
+            1,
+            self.version,
+            PolicyFile(weights, (bias,), space=DWA, observation=LAYOUT, epoch=1, version=self.version).to_bytes(),
+        )
 
 
 @pytest.fixture
 def env() -> Iterator[NavigationEnv]:
-    env = NavigationEnv(generate_worlds(3, 0), protocol=replace(PROTOCOLS["appl"], limit_s=6.0))
+    env = NavigationEnv(generate_worlds(3, 0), protocol=replace(PROTOCOLS.get("appl"), limit_s=6.0))
     yield env
     env.close()
 

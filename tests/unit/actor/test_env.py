@@ -13,13 +13,14 @@ from gymnasium.utils.env_checker import check_env
 from appl_dist.actor.env import NavigationEnv
 from appl_dist.actor.protocol import PROTOCOLS
 from appl_dist.actor.rollout import collect, run_episode
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy.fixed import default_policy
 from appl_dist.policy.load import load_policy
 from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.worlds import World
-from appl_dist.spec import DWA, LIDAR_BEAMS
+from tests.paper_sizes import LAYOUT, LIDAR_BEAMS
 
-SHORT = replace(PROTOCOLS["appl"], limit_s=6.0)
+SHORT = replace(PROTOCOLS.get("appl"), limit_s=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +90,7 @@ def test_same_seed_same_episode_whatever_ran_before(worlds: list[World]) -> None
         return rollout.observations, rollout.rewards
 
     fresh, used = NavigationEnv(worlds), NavigationEnv(worlds)
-    run_episode(used, load_policy("set:max_vel_x=2.0", DWA), seed=1, world=2)
+    run_episode(used, load_policy("set:max_vel_x=2.0", DWA, LAYOUT), seed=1, world=2)
     for a, b in zip(run(fresh), run(used), strict=True):
         assert np.array_equal(a, b)
     fresh.close()
@@ -100,15 +101,15 @@ def test_fault_04_max_vel_theta_bounds_turns_to_both_sides(env: NavigationEnv) -
     env.reset(seed=0)
     slow = DWA.defaults
     slow[DWA.names.index("max_vel_theta")] = 0.4
-    env.loop.navigator.set_parameters(slow)
+    env.loop.planner.set_parameters(slow)
     env.loop.advance(1000)
     pose = env.loop.estimate[0]
     # Turned fully around, the robot must rotate; whatever the side, no faster than the new bound.
     for yaw in (-math.pi / 2, 0.0, math.pi):
         turned = np.array([pose[0], pose[1], yaw])
-        env.loop.navigator.plan(turned)
+        env.loop.planner.plan(turned)
         for _ in range(40):
-            command = env.loop.navigator.control(turned, np.zeros(2), 2.0)
+            command = env.loop.planner.control(turned, np.zeros(2), 2.0)
             assert abs(command[1]) <= 0.4 + 1e-9
 
 

@@ -9,9 +9,9 @@ import pytest
 from appl_dist.actor.produced_log import FILE, read_produced
 from appl_dist.actor.spool import Spool
 from appl_dist.errors import UserError
-from appl_dist.spec import LIDAR_BEAMS
 from appl_dist.wire import receipt
 from appl_dist.wire.codec import decode_rollout, encode_rollout
+from tests.paper_sizes import LIDAR_BEAMS
 from tests.unit.wire.support import make_rollout
 
 

@@ -1,10 +1,14 @@
 import pytest
 
-from appl_dist.actor.reward import RewardSettings, reward
+from appl_dist.actor.reward import REWARDS, Outcome, RewardSettings
 
 ONLY_TIME = RewardSettings(time=1.0, progress=0.0, collision=0.0)
 ONLY_PROGRESS = RewardSettings(time=0.0, progress=1.0, collision=0.0)
 ONLY_COLLISION = RewardSettings(time=0.0, progress=0.0, collision=1.0)
+
+
+def reward(settings: RewardSettings, before, after, goal, nearest_m: float, *, reached: bool) -> float:
+    return REWARDS.get("appl")(settings, Outcome(before, after, goal, nearest_m, reached, collided=False))
 
 
 def test_time_costs_one_a_decision_until_the_goal() -> None:

@@ -20,7 +20,7 @@ from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.worlds import World
 
 METHODS = [("default", "default"), ("fixed", "set:max_vel_x=1,vx_samples=10"), ("mine", "appld:no-context")]
-SHORT = replace(PROTOCOLS["appl"], limit_s=8.0, failed_time_s=9.0)
+SHORT = replace(PROTOCOLS.get("appl"), limit_s=8.0, failed_time_s=9.0)
 
 
 def quiet() -> Console:
@@ -64,7 +64,7 @@ def test_an_evaluation_goes_on_grows_and_replays(tmp_path: Path, worlds: list[Wo
     env = NavigationEnv(worlds, protocol=SHORT)
     check_settings(read, {"protocol": SHORT})
     with pytest.raises(UserError, match="settings now differ"):
-        check_settings(read, {"protocol": PROTOCOLS["appl"]})
+        check_settings(read, {"protocol": PROTOCOLS.get("appl")})
     for trial in read.trials:
         assert replay(env, trial).difference == ""
     seen = replay(env, find_trial(read, "fixed/1/0"), every_ms=500)

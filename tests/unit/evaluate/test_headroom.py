@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appl_dist.spec import DWA
+from appl_dist.planner.dwa import DWA
 from benchmarks import headroom
 from tests.unit.evaluate.synthetic import make_trial
 

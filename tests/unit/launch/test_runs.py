@@ -17,8 +17,8 @@ from appl_dist.launch.roles import Patience, open_spool
 from appl_dist.launch.runs import Whereabouts, announce, announce_gone, prepare, require_run, run_id_of, whereabouts
 from appl_dist.launch.status import check
 from appl_dist.overrides import quoted
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import DWA
 from appl_dist.wire.key_expressions import is_name
 from appl_dist.wire.run_status import ActorStatus, RunStatus
 
@@ -120,7 +120,7 @@ def test_a_run_is_not_evaluated_on_its_training_worlds_unless_asked(tmp_path: Pa
 
 def test_a_policy_says_where_it_was_trained_and_is_not_tested_there(tmp_path: Path) -> None:
     settings = load(["world.count=6", "world.train=1:4", "evaluation.worlds=3:5"])
-    fixed = PolicyFile(values=DWA.defaults, training=training_of(settings))
+    fixed = PolicyFile(values=DWA.defaults, space=DWA, training=training_of(settings))
     fixed.save(tmp_path / "p")
     assert PolicyFile.load(tmp_path / "p").training == fixed.training
     with pytest.raises(UserError, match=r"mine was trained on 1 of these 2 worlds, 3 among them"):

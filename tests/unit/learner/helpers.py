@@ -26,4 +26,4 @@ def rollout(first: int, n: int, terminal: bool = True, rewards: Any = None) -> R
     observations[:, :2] = np.sin(numbers)[:, None]
     actions = np.repeat(np.cos(numbers[:n])[:, None], ACT, 1).astype(np.float32)
     given = 2.0 ** np.arange(n) if rewards is None else rewards
-    return Rollout(observations, actions, np.asarray(given, np.float32), terminal, {})
+    return Rollout(observations, actions, np.asarray(given, np.float32), terminal, {}, SCAN)

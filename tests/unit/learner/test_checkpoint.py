@@ -21,7 +21,7 @@ SMALL = TD3Settings(hidden=(16, 16), batch_size=32)
 
 def fill(replay: Replay) -> Replay:
     for seq in range(5):
-        replay.insert(rollout(10 * seq, 8, seq % 2 == 0), "a", seq)
+        replay.ring.insert(rollout(10 * seq, 8, seq % 2 == 0), "a", seq)
     return replay
 
 

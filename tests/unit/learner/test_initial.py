@@ -35,7 +35,7 @@ def test_a_run_gives_its_networks_targets_and_optimisers(trained: Path, tmp_path
         wanted, _ = first.td3.state()
     second = started(tmp_path / "second", trained)
     found, numbers = second.td3.state()
-    assert numbers["updates"] == 0 and second.replay.transitions_total == 0
+    assert numbers["updates"] == 0 and second.replay.ring.transitions_total == 0
     for name, tensor in wanted.items():
         assert torch.equal(found[name], tensor) == name.startswith(LEARNED), name
     second.close()

@@ -18,9 +18,11 @@ from appl_dist.errors import UserError
 from appl_dist.learner.learner import Learner, _Every
 from appl_dist.learner.run_info import Run
 from appl_dist.learner.settings import LearnerSettings, TD3Settings
-from appl_dist.spec import DWA, OBSERVATION_SIZE, Rollout
+from appl_dist.planner.dwa import DWA
+from appl_dist.spec import Rollout
 from appl_dist.wire.codec import UploadHeader
 from appl_dist.wire.memory import MemoryHub
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
 SETTINGS = LearnerSettings(
     TD3Settings(hidden=(16,), batch_size=8),
@@ -44,11 +46,11 @@ def rollout(seed: int, world: int, success: bool) -> Rollout:
         "world": world, "ended": True, "success": success, "time_s": 20.0, "return_": -3.0, "policy_version": 1,
         "policy_epoch": 1,
     }  # fmt: skip
-    return Rollout(uniform(11, OBSERVATION_SIZE), uniform(10, 8), uniform(10), True, info)
+    return Rollout(uniform(11, OBSERVATION_SIZE), uniform(10, 8), uniform(10), True, info, LAYOUT.scan_size)
 
 
 def run_info(folder: Path, seed: int = 0) -> Run:
-    return Run("run", folder, seed, 10**6, 0.0, {}, DWA, 70.0, lambda _: 0.1)
+    return Run("run", folder, seed, 10**6, 0.0, {}, DWA, LAYOUT, 70.0, lambda _: 0.1)
 
 
 @contextmanager

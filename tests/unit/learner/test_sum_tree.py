@@ -45,7 +45,7 @@ def test_a_ring_draws_only_stored_transitions(capacity: int) -> None:
     for seq in range(60):
         n = int(rng.integers(1, 9))
         for replay in (uniform, prioritised):
-            replay.insert(rollout(100 * seq, n, rewards=np.ones(n)), "a", seq)
+            replay.ring.insert(rollout(100 * seq, n, rewards=np.ones(n)), "a", seq)
         batch = prioritised.sample(400, rng)
         assert batch.rows is not None
         steps = batch.next_observations[:, 2] - batch.observations[:, 2]
@@ -64,10 +64,10 @@ def test_a_reopened_replay_starts_with_equal_priorities(tmp_path) -> None:
 
     with reopen() as replay:
         for seq in range(9):
-            replay.insert(rollout(10 * seq, 4), "a", seq)
+            replay.ring.insert(rollout(10 * seq, 4), "a", seq)
     with reopen() as replay:
         batch = replay.sample(4000, np.random.default_rng(0))
         _, counts = np.unique(batch.observations[:, 2], return_counts=True)
-        assert len(counts) == len(replay)
+        assert len(counts) == len(replay.ring)
         assert counts.max() - counts.min() <= 2
         assert batch.weights is not None and (batch.weights == 1.0).all()

@@ -15,9 +15,10 @@ from appl_dist.learner import td3
 from appl_dist.learner.row_layout import Batch
 from appl_dist.learner.settings import TD3Settings
 from appl_dist.learner.td3 import TD3, Diverged, read
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import OBSERVATION_SIZE
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
 SMALL = TD3Settings(hidden=(32, 32), batch_size=64, actor_lr=3e-3, critic_lr=3e-3, precision="fp32")
 
@@ -274,7 +275,7 @@ def test_every_tensor_stays_on_the_device_and_nothing_waits_for_it(monkeypatch: 
 
 def test_the_exported_policy_is_the_actor() -> None:
     learner = TD3(dataclasses.replace(SMALL, hidden=(512, 512, 512)), OBSERVATION_SIZE, 8)
-    policy = MLPPolicy(PolicyFile(*learner.policy_arrays()))
+    policy = MLPPolicy(PolicyFile(*learner.policy_arrays(), space=DWA, observation=LAYOUT))
     obs = np.random.default_rng(0).uniform(-1, 1, (20, OBSERVATION_SIZE)).astype(np.float32)
     found = np.stack([policy.act(o) for o in obs])
     np.testing.assert_allclose(found, greedy(learner, obs), atol=1e-5)

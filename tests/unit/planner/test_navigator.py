@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from appl_dist import _native
+from appl_dist.planner.dwa import DWA
 from appl_dist.planner.ideal_drive import cast_scan, drive
 from appl_dist.planner.navigator import Navigator, State
-from appl_dist.planner.parameters import PlannerSettings
-from appl_dist.spec import DWA
+from appl_dist.planner.planner_settings import PlannerSettings
+from appl_dist.spec import LaserGeometry
 
 NOTHING = np.full(720, np.inf, np.float32)
 START = np.array([0.0, 0.0, 1.57])
@@ -56,7 +58,7 @@ def test_same_input_same_commands():
     for _ in range(2):
         n, pose, twist, commands = navigator(), START, REST, []
         for k in range(80):
-            command = n.cycle(cast_scan(cylinders, pose, 0.055, 720, 2.35619), pose, twist, 0.05 * k)
+            command = n.cycle(cast_scan(cylinders, pose, LaserGeometry()), pose, twist, 0.05 * k)
             pose, twist = drive(pose, twist, command, 5)
             commands.append(command.tolist())
         runs.append(commands)
@@ -135,7 +137,7 @@ def test_absurd_parameters_are_refused_by_name(name, value):
     assert n.rollouts == 140  # the old ones are still in force
 
 
-@pytest.mark.parametrize("name", sorted(PlannerSettings.__dataclass_fields__))
+@pytest.mark.parametrize("name", sorted(_native.PLANNER_SETTINGS))
 def test_settings_that_are_not_numbers_are_refused_by_name(name):
     with pytest.raises(ValueError, match=name):
         Navigator(replace(PlannerSettings(), **{name: math.nan}))

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from appl_dist.errors import UserError
+from appl_dist.planner.dwa import DWA, DWA_WIDE
 from appl_dist.policy.fixed import PUBLISHED_SETS, StaticPolicy
 from appl_dist.policy.load import load_policy, policy_from_file
 from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
-from appl_dist.spec import DWA, DWA_WIDE, OBSERVATION_SIZE
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
 
 def file(hidden: tuple[int, ...] = (20, 10)) -> PolicyFile:
@@ -23,6 +24,8 @@ def file(hidden: tuple[int, ...] = (20, 10)) -> PolicyFile:
     return PolicyFile(
         tuple((rng.normal(size=(o, i)) / np.sqrt(i)).astype(np.float32) for i, o in pairs),
         tuple(rng.normal(size=o).astype(np.float32) for _, o in pairs),
+        space=DWA,
+        observation=LAYOUT,
     )
 
 
@@ -61,19 +64,19 @@ def test_an_observation_of_another_layout_is_refused() -> None:
 
 @pytest.mark.parametrize("name", [*PUBLISHED_SETS, "default"])
 def test_published_sets_come_out_of_the_action_unchanged(name: str) -> None:
-    policy = load_policy(name, DWA_WIDE)
+    policy = load_policy(name, DWA_WIDE, LAYOUT)
     wanted = PUBLISHED_SETS.get(name, tuple(DWA.defaults))
     np.testing.assert_allclose(DWA_WIDE.to_values(policy.act(observations(1)[0])), wanted, atol=1e-5)
 
 
 def test_a_set_outside_the_bounds_is_refused_never_clipped() -> None:
     with pytest.raises(UserError, match=r"appld:curve: values: occdist_scale = 0\.04; dwa allows .*dwa_wide"):
-        load_policy("appld:curve", DWA)
-    load_policy("appli:A1", DWA)
+        load_policy("appld:curve", DWA, LAYOUT)
+    load_policy("appli:A1", DWA, LAYOUT)
 
 
 def test_a_set_changes_what_it_names_and_keeps_the_defaults() -> None:
-    policy = load_policy("set:max_vel_x=2.0, vx_samples=12", DWA)
+    policy = load_policy("set:max_vel_x=2.0, vx_samples=12", DWA, LAYOUT)
     assert isinstance(policy, StaticPolicy)
     assert policy.values.tolist() == [2.0, 1.57, 12, 20, 0.1, 0.75, 1.0, 0.30]
 
@@ -95,17 +98,19 @@ def test_a_set_changes_what_it_names_and_keeps_the_defaults() -> None:
 )
 def test_a_spec_that_means_nothing_is_explained(spec: str, message: str) -> None:
     with pytest.raises(UserError, match=message):
-        load_policy(spec, DWA)
+        load_policy(spec, DWA, LAYOUT)
 
 
 def test_files_load_as_what_they_hold_and_only_for_their_space(tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     file().save(path)
-    assert isinstance(load_policy(str(path), DWA), MLPPolicy)
+    assert isinstance(load_policy(str(path), DWA, LAYOUT), MLPPolicy)
     with pytest.raises(UserError, match="made for the parameter space 'dwa', this run has 'dwa_wide'"):
-        load_policy(str(path), DWA_WIDE)
-    fixed = policy_from_file(PolicyFile(values=DWA.defaults), DWA, "x")
-    np.testing.assert_array_equal(fixed.act(observations(1)[0]), load_policy("default", DWA).act(observations(1)[0]))
+        load_policy(str(path), DWA_WIDE, LAYOUT)
+    fixed = policy_from_file(PolicyFile(values=DWA.defaults, space=DWA), DWA, "x", LAYOUT)
+    np.testing.assert_array_equal(
+        fixed.act(observations(1)[0]), load_policy("default", DWA, LAYOUT).act(observations(1)[0])
+    )
 
 
 def test_policies_import_no_torch() -> None:

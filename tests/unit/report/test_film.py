@@ -25,7 +25,7 @@ from appl_dist.report import film, maps
 from appl_dist.sim.generate import generate_worlds
 from appl_dist.sim.robot import RobotSettings
 
-SHORT = replace(PROTOCOLS["appl"], limit_s=6.0)
+SHORT = replace(PROTOCOLS.get("appl"), limit_s=6.0)
 
 
 @pytest.fixture(scope="module")

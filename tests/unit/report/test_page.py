@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from appl_dist.actor.protocol import PROTOCOLS, Protocol
+from appl_dist.actor.protocol import APPL, PROTOCOLS, Protocol
 from appl_dist.errors import UserError
 from appl_dist.evaluate.folder import Course, Head, write_head
 from appl_dist.evaluate.trial_log import TrialLog
@@ -38,7 +38,7 @@ def write_evaluation(
     folder: Path,
     methods: dict[str, float],
     *,
-    protocol: Protocol = PROTOCOLS["appl"],
+    protocol: Protocol = APPL,
     seed: int = 0,
     config: str = "c",
     trials: int = 4,
@@ -74,10 +74,10 @@ def write_evaluation(
 
 def test_different_protocols_are_refused_in_a_sentence(tmp_path: Path) -> None:
     a = write_evaluation(tmp_path / "a", {"default": 20.0})
-    b = write_evaluation(tmp_path / "b", {"learned": 10.0}, protocol=PROTOCOLS["ros_jackal"])
+    b = write_evaluation(tmp_path / "b", {"learned": 10.0}, protocol=PROTOCOLS.get("ros_jackal"))
     with pytest.raises(UserError, match=r"cannot be compared.*'appl' and 'ros_jackal'.*success_y_m 10.0 and 11.0"):
         gather([a, b])
-    longer = replace(PROTOCOLS["appl"], limit_s=60.0)
+    longer = replace(PROTOCOLS.get("appl"), limit_s=60.0)
     c = write_evaluation(tmp_path / "c", {"learned": 10.0}, protocol=longer)
     with pytest.raises(UserError, match=r"limit_s 50.0 and 60.0"):
         gather([a, c])
@@ -227,7 +227,7 @@ def test_latex_tables_are_balanced_and_escaped(report: Path) -> None:
 
 
 def test_the_report_of_a_challenge_has_scores(tmp_path: Path) -> None:
-    folder = write_evaluation(tmp_path / "a", {"default": 20.0}, protocol=PROTOCOLS["challenge"], noise_s=0.0)
+    folder = write_evaluation(tmp_path / "a", {"default": 20.0}, protocol=PROTOCOLS.get("challenge"), noise_s=0.0)
     found = {t.name: t for t in write_report([folder], tmp_path / "out").tables}
     rows = {r["clip"]: r for r in found["score"].records}
     # OT 5 s; world w takes 20 + w s: 5 / (20 + w), clipped at 10 and 40 or 20 and 40 s; world 11 fails.
@@ -235,7 +235,7 @@ def test_the_report_of_a_challenge_has_scores(tmp_path: Path) -> None:
     assert rows["since 2024"]["score"] == pytest.approx(expected)
     assert rows["before 2024"]["score"] == pytest.approx(expected)
     assert (rows["since 2024"]["best"], rows["before 2024"]["best"]) == (0.5, 0.25)
-    fast = write_evaluation(tmp_path / "b", {"default": 1.0}, protocol=PROTOCOLS["challenge"], noise_s=0.0)
+    fast = write_evaluation(tmp_path / "b", {"default": 1.0}, protocol=PROTOCOLS.get("challenge"), noise_s=0.0)
     rows = {r["clip"]: r for r in {t.name: t for t in write_report([fast], tmp_path / "out").tables}["score"].records}
     # 1 + w s: the clips hold times at 10 s and 20 s
     assert rows["before 2024"]["score"] == pytest.approx(11 * 0.25 / 12)
@@ -306,7 +306,7 @@ def test_nothing_overflows_in_a_browser(report: Path, tmp_path: Path, chromium: 
 
 
 def test_protocol_of_a_head_is_kept_whole(tmp_path: Path) -> None:
-    folder = write_evaluation(tmp_path / "a", {"default": 20.0}, protocol=PROTOCOLS["challenge"])
+    folder = write_evaluation(tmp_path / "a", {"default": 20.0}, protocol=PROTOCOLS.get("challenge"))
     plain = json.loads((folder / "evaluation.json").read_text())
-    assert Protocol(**plain["protocol"]) == PROTOCOLS["challenge"]
-    assert asdict(PROTOCOLS["challenge"]) == plain["protocol"]
+    assert Protocol(**plain["protocol"]) == PROTOCOLS.get("challenge")
+    assert asdict(PROTOCOLS.get("challenge")) == plain["protocol"]

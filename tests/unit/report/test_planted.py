@@ -49,7 +49,7 @@ def test_what_was_planted_is_found_and_nothing_else(tmp_path: Path) -> None:
         metrics = rng.normal(size=5)
         metrics[4] = (w in HARDER) - 1.0 * (w in EASIER) + 0.3 * rng.normal()
         courses.append(Course(w, "", w % 12, 5.0, tuple(float(m) for m in metrics)))
-    head = Head(PROTOCOLS["appl"], METHODS, {"all": tuple(WORLDS)}, 0, TRIALS, {})
+    head = Head(PROTOCOLS.get("appl"), METHODS, {"all": tuple(WORLDS)}, 0, TRIALS, {})
     run_trials(METHODS, WORLDS, TRIALS, Factory(), workers=2, folder=tmp_path, protocol="appl", config_hash="c")
     write_head(tmp_path, head, courses)
     data = gather([tmp_path])

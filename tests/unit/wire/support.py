@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from appl_dist.spec import OBSERVATION_SIZE, Rollout
+from appl_dist.spec import Rollout
 from appl_dist.wire.codec import Ack, UploadHeader
+from tests.paper_sizes import LIDAR_BEAMS, OBSERVATION_SIZE
 
 
 def make_rollout(tag: int, transitions: int = 3) -> Rollout:
@@ -23,6 +24,7 @@ def make_rollout(tag: int, transitions: int = 3) -> Rollout:
         rng.normal(size=transitions).astype(np.float32),
         bool(tag % 2),
         {"tag": tag},
+        LIDAR_BEAMS,
     )
 
 

@@ -6,7 +6,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from appl_dist.spec import LIDAR_BEAMS, WIRE_VERSION, Rollout
+from appl_dist.spec import WIRE_VERSION, Rollout
 from appl_dist.wire.codec import (
     MAX_LAYOUT_BYTES,
     Ack,
@@ -20,6 +20,7 @@ from appl_dist.wire.codec import (
     pack,
     sizes_in,
 )
+from tests.paper_sizes import LIDAR_BEAMS
 from tests.unit.wire.support import make_rollout
 
 
@@ -69,7 +70,7 @@ def test_the_ends_of_the_scan_and_every_step_between_are_kept_exactly():
     observations[:, :LIDAR_BEAMS].flat = np.resize(scan, 92 * 720)
     observations[0, :3] = (-1.0, 1.0, 1.0 + 1e-6)
     actions, rewards = np.zeros((91, 8), np.float32), np.zeros(91, np.float32)
-    got = decode_rollout(encode_rollout(Rollout(observations, actions, rewards, True, {}))).observations
+    got = decode_rollout(encode_rollout(Rollout(observations, actions, rewards, True, {}, LIDAR_BEAMS))).observations
     assert got[0, :3].tolist() == [-1.0, 1.0, 1.0]
     assert np.abs(got).max() <= 1.0
     steps = np.rint((got[1:, :LIDAR_BEAMS].astype(np.float64) + 1.0) * 32767.5)

@@ -1,6 +1,6 @@
-"""Fixed planner settings: what the Jackal's yaml files say, plus the geometry of robot, maps and lidar.
+"""Fixed planner settings: what the Jackal's yaml files say, plus the geometry of robot and maps.
 
-The eight parameters that policies move are not here; they are `spec.DWA`. Names are those of the ROS
+The parameters that policies move are not here; they are in `dwa.py`. Names are those of the ROS
 parameters where there is one (lengths m, angles rad, times s, speeds m/s and rad/s); others carry their unit.
 Source: jackal_navigation (TrajectoryPlannerROS, costmap and move_base parameters) and
 ros-planning/navigation for the defaults those files leave alone.
@@ -21,9 +21,11 @@ RECOVERY_BEHAVIOURS = 4
 class PlannerSettings:
     """Settings of TrajectoryPlannerROS, navfn, the two costmaps and move_base.
 
-    Values are checked when a `Navigator` is made: ValueError names the field that cannot be.
+    name: an entry of PLANNERS (planners.py). Values are checked when a `Navigator` is made: ValueError names the field
+    that cannot be.
     """
 
+    name: str = "dwa"
     # TrajectoryPlannerROS
     acc_lim_x: float = 10.0
     acc_lim_theta: float = 20.0
@@ -57,10 +59,6 @@ class PlannerSettings:
     resolution_m: float = 0.05
     obstacle_range: float = 2.5
     raytrace_range: float = 3.0
-    # Lidar in the robot frame: on the x axis, looking forward
-    laser_x_m: float = 0.055
-    beams: int = 720
-    angle_max_rad: float = 2.35619
     # move_base
     controller_patience: float = 15.0
     planner_patience: float = 5.0
