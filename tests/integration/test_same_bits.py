@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from appl_dist.actor.env import NavigationEnv
+from appl_dist.planner.dwa import DWA
 from appl_dist.policy.network import MLPPolicy
 from appl_dist.policy_file import PolicyFile
 from appl_dist.sim.generate import generate_worlds
-from appl_dist.spec import OBSERVATION_SIZE
+from tests.paper_sizes import LAYOUT, OBSERVATION_SIZE
 
 ROOT = Path(__file__).resolve().parents[2]
 FEATURES = np.show_config(mode="dicts")["SIMD Extensions"].get(
@@ -35,7 +36,9 @@ def write_policy(path: Path) -> None:
     rng = np.random.default_rng(0)
     pairs = list(pairwise((OBSERVATION_SIZE, 256, 256, 8)))
     weights = tuple(fractions(rng, outputs, inputs) / np.float32(16) for inputs, outputs in pairs)
-    PolicyFile(weights, tuple(fractions(rng, outputs) for _, outputs in pairs)).save(path)
+    PolicyFile(weights, tuple(fractions(rng, outputs) for _, outputs in pairs), space=DWA, observation=LAYOUT).save(
+        path
+    )
 
 
 def digests(path: Path) -> dict[str, str]:
