@@ -27,9 +27,12 @@ T *core_of(nb::handle owner, const char *name) {
 trial_rules rules_of(nb::handle from) {
     trial_rules r{};
     const auto number = [&](const char *name) { return nb::cast<double>(nb::float_(from.attr(name))); };
-    r.goal_x = number("goal_x_m"), r.goal_y = number("goal_y_m");
-    r.success_y = number("success_y_m"), r.goal_radius = number("goal_radius_m");
-    r.limit_s = number("limit_s"), r.idle_limit_s = number("idle_limit_s");
+    r.goal_x = number("goal_x_m");
+    r.goal_y = number("goal_y_m");
+    r.success_y = number("success_y_m");
+    r.goal_radius = number("goal_radius_m");
+    r.limit_s = number("limit_s");
+    r.idle_limit_s = number("idle_limit_s");
     r.clock_starts_after = number("clock_starts_after_m");
     r.collision_ends = nb::cast<bool>(from.attr("collision_ends"));
     return r;

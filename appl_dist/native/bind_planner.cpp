@@ -109,7 +109,8 @@ class Planner {
         return navigator_plan(n_, p, now);
     }
     nb::object control(const Array &pose, const Array &twist, double now) {
-        const double *p = finite(pose, "pose", 3), *t = finite(twist, "twist", 2);
+        const double *p = finite(pose, "pose", 3);
+        const double *t = finite(twist, "twist", 2);
         std::vector<double> out(2);
         {
             nb::gil_scoped_release unlocked;
@@ -119,7 +120,8 @@ class Planner {
     }
     nb::object cycle(const Array &ranges, const Array &pose, const Array &twist, double now) {
         const float *r = checked<const float>(ranges, "ranges", {static_cast<long>(n_->set.beams)});
-        const double *p = finite(pose, "pose", 3), *t = finite(twist, "twist", 2);
+        const double *p = finite(pose, "pose", 3);
+        const double *t = finite(twist, "twist", 2);
         std::vector<double> out(2);
         {
             nb::gil_scoped_release unlocked;
@@ -136,7 +138,8 @@ class Planner {
         costmap &m = local ? n_->local : n_->global;
         const uint8_t *c = checked<const uint8_t>(cost, "cost", {m.frame.h, m.frame.w});
         const size_t cells = static_cast<size_t>(m.frame.w) * m.frame.h;
-        m.frame.ox = ox, m.frame.oy = oy;
+        m.frame.ox = ox;
+        m.frame.oy = oy;
         for (size_t i = 0; i < cells; ++i) m.obstacles[i] = c[i] == COST_LETHAL ? COST_LETHAL : COST_FREE;
         std::copy(c, c + cells, m.master);
         m.exact = {0, 0, 0, 0};
@@ -150,7 +153,8 @@ class Planner {
     }
     // `whole`: the wave covers all that NavFn's covers, not only what the plan needs.
     nb::object plan_between(const Array &start, const Array &goal, bool whole) {
-        const double *s = finite(start, "start", 2), *g = finite(goal, "goal", 2);
+        const double *s = finite(start, "start", 2);
+        const double *g = finite(goal, "goal", 2);
         navfn_restart(&n_->plan);
         n_->plan.whole = whole;
         costmap_mark_cleared(&n_->global, s[0], s[1]);
@@ -172,7 +176,8 @@ class Planner {
     }
     // computeVelocityCommands alone. With `trace` every sample is simulated to its end and reported.
     nb::tuple local_command(const Array &pose, const Array &twist, bool trace) {
-        const double *p = finite(pose, "pose", 3), *t = finite(twist, "twist", 2);
+        const double *p = finite(pose, "pose", 3);
+        const double *t = finite(twist, "twist", 2);
         rollout_planner &r = n_->local_plan.rollouts;
         std::vector<rollout_row> rows;
         rollout_trace report = {nullptr, 0, 0};
@@ -192,7 +197,8 @@ class Planner {
     }
     nb::object wavefronts() {
         rollout_planner &r = n_->local_plan.rollouts;
-        const int w = r.frame.w, h = r.frame.h;
+        const int w = r.frame.w;
+        const int h = r.frame.h;
         std::vector<int32_t> grids(2 * static_cast<size_t>(w) * h);
         for (int k = 0; k < 2; ++k)
             for (int y = 0; y < h; ++y)
@@ -203,7 +209,8 @@ class Planner {
     nb::object map(bool local, bool obstacles) const {
         const costmap &m = local ? n_->local : n_->global;
         const uint8_t *from = obstacles ? m.obstacles : m.master;
-        const size_t w = m.frame.w, h = m.frame.h;
+        const size_t w = m.frame.w;
+        const size_t h = m.frame.h;
         return owned(std::vector<uint8_t>(from, from + w * h), {h, w});
     }
     nb::object origin(bool local) const {
@@ -211,7 +218,8 @@ class Planner {
         return owned(std::vector<double>{g.ox, g.oy}, {2});
     }
     nb::object potential() const {
-        const size_t w = n_->plan.w, h = n_->plan.h;
+        const size_t w = n_->plan.w;
+        const size_t h = n_->plan.h;
         return owned(std::vector<float>(n_->plan.potential, n_->plan.potential + w * h), {h, w});
     }
     nb::object latest_plan() const {
@@ -234,19 +242,27 @@ class Planner {
         const local_planner &l = n_->local_plan;
         const rollout_planner &r = l.rollouts;
         nb::dict d;
-        d["stuck_left"] = r.stuck_left, d["stuck_right"] = r.stuck_right;
-        d["rotating_left"] = r.rotating_left, d["rotating_right"] = r.rotating_right;
+        d["stuck_left"] = r.stuck_left;
+        d["stuck_right"] = r.stuck_right;
+        d["rotating_left"] = r.rotating_left;
+        d["rotating_right"] = r.rotating_right;
         d["escaping"] = r.escaping;
-        d["prev_x"] = r.prev_x, d["prev_y"] = r.prev_y;
-        d["escape_x"] = r.escape_x, d["escape_y"] = r.escape_y, d["escape_theta"] = r.escape_theta;
-        d["rotating_to_goal"] = l.rotating_to_goal, d["reached"] = l.reached_goal;
-        d["plan_left"] = l.plan.count, d["local_count"] = l.local_count;
+        d["prev_x"] = r.prev_x;
+        d["prev_y"] = r.prev_y;
+        d["escape_x"] = r.escape_x;
+        d["escape_y"] = r.escape_y;
+        d["escape_theta"] = r.escape_theta;
+        d["rotating_to_goal"] = l.rotating_to_goal;
+        d["reached"] = l.reached_goal;
+        d["plan_left"] = l.plan.count;
+        d["local_count"] = l.local_count;
         return d;
     }
     nb::tuple local_plan_ends() const {
         const local_planner &l = n_->local_plan;
         if (l.local_count == 0) return nb::make_tuple();
-        const int a = l.local_first, b = a + l.local_count - 1;
+        const int a = l.local_first;
+        const int b = a + l.local_count - 1;
         return nb::make_tuple(l.plan.x[a], l.plan.y[a], l.plan.x[b], l.plan.y[b]);
     }
     int state() const { return n_->state; }
@@ -289,7 +305,8 @@ void bind_planner(nb::module_ &m) {
 #undef NAME
     m.attr("PLANNER_SETTINGS") = nb::tuple(names);
     nb::class_<Planner>(m, "Planner")
-        .def(nb::init<nb::handle, nb::handle, const Array &>(), nb::arg("settings"), nb::arg("laser"), nb::arg("parameters"))
+        .def(nb::init<nb::handle, nb::handle, const Array &>(), nb::arg("settings"), nb::arg("laser"),
+             nb::arg("parameters"))
         .def("reset", &Planner::reset)
         .def("set_parameters", &Planner::set_parameters)
         .def("add_scan", &Planner::add_scan)

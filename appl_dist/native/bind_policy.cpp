@@ -19,7 +19,8 @@ struct Layer {
 };
 
 Layer packed(const float *weights, const float *biases, size_t inputs, size_t outputs) {
-    const size_t panels = (outputs + NETWORK_PANEL - 1) / NETWORK_PANEL, width = panels * NETWORK_PANEL;
+    const size_t panels = (outputs + NETWORK_PANEL - 1) / NETWORK_PANEL;
+    const size_t width = panels * NETWORK_PANEL;
     Layer l{inputs,
             outputs,
             panels,

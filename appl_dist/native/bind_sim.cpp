@@ -105,7 +105,8 @@ class Lidar {
 // The first of (n, rows, cols) grids that can be crossed, its crossing region written to `region`; -1 if none can.
 long first_crossing(const appl::Array &blocked, const appl::Array &region) {
     const uint8_t *grids = appl::checked<const uint8_t>(blocked, "blocked", {-1, -1, -1});
-    const size_t rows = blocked.shape(1), cols = blocked.shape(2);
+    const size_t rows = blocked.shape(1);
+    const size_t cols = blocked.shape(2);
     uint8_t *out = appl::checked<uint8_t>(region, "region", {static_cast<long>(rows), static_cast<long>(cols)});
     if (rows > 127 || rows < 1 || cols < 1) throw nb::value_error("blocked: a grid has 1 to 127 rows");
     std::vector<int32_t> stack(rows * cols);

@@ -165,7 +165,8 @@ static void compute(navigation_loop *l, int64_t now_ms) {
 
 void loop_reset(navigation_loop *l, const double origin[2], const loop_phases *phases) {
     const loop_timing *t = &l->timing;
-    l->origin[0] = origin[0], l->origin[1] = origin[1];
+    l->origin[0] = origin[0];
+    l->origin[1] = origin[1];
     l->now_ms = l->received_ms = l->scan_due_ms = l->control_done_ms = 0;
     l->plan_done_ms = NEVER;
     l->planning = 0;
@@ -188,11 +189,13 @@ void loop_reset(navigation_loop *l, const double origin[2], const loop_phases *p
 loop_pause loop_run(navigation_loop *l, int64_t end_ms) {
     for (;;) {
         const int64_t arrival_ms = l->flying_count ? l->flying[l->flying_first].due_ms : NEVER;
-        const int64_t scan_ms = l->scan_due_ms, work_ms = l->work_due_ms;
+        const int64_t scan_ms = l->scan_due_ms;
+        const int64_t work_ms = l->work_due_ms;
         if (arrival_ms <= scan_ms && arrival_ms <= work_ms && arrival_ms < end_ms) {
             if (!drive_until(l, arrival_ms)) return LOOP_CONTACT;
             const loop_command *c = &l->flying[l->flying_first];
-            l->command[0] = c->v, l->command[1] = c->w;
+            l->command[0] = c->v;
+            l->command[1] = c->w;
             l->received_ms = arrival_ms;
             l->flying_first = (l->flying_first + 1) % LOOP_QUEUE;
             l->flying_count -= 1;

@@ -12,7 +12,9 @@ static void sample(trial *t, const robot *r, int64_t now_ms) {
         double *to = t->samples + TRIAL_COLUMNS * t->count++;
         double left;
         to[0] = (double)now_ms / 1000.0;
-        to[1] = r->state.x, to[2] = r->state.y, to[3] = r->state.yaw;
+        to[1] = r->state.x;
+        to[2] = r->state.y;
+        to[3] = r->state.yaw;
         vehicle_body_velocity(&r->spec, &r->state, &to[4], &left);
         to[5] = r->state.w;
     }
@@ -24,7 +26,8 @@ static void sample(trial *t, const robot *r, int64_t now_ms) {
 
 void trial_start(trial *t, const trial_rules *rules, const robot *r) {
     t->rules = *rules;
-    t->start_x = r->state.x, t->start_y = r->state.y;
+    t->start_x = r->state.x;
+    t->start_y = r->state.y;
     t->clock_start_ms = rules->clock_starts_after > 0 ? -1 : 0;
     t->sampled_ms = -1;
     t->touched_ms = -APART_MS;
@@ -46,7 +49,8 @@ int trial_timed_out(const trial *t, int64_t now_ms) {
 }
 
 static double distance(const robot *r, double x, double y) {
-    const double dx = r->state.x - x, dy = r->state.y - y;
+    const double dx = r->state.x - x;
+    const double dy = r->state.y - y;
     return sqrt(dx * dx + dy * dy);
 }
 

@@ -98,7 +98,8 @@ static void memory_layout_map(costmap *m, int cells, double res, bool rolling, a
 
 void memory_layout_navigator(navigator *n, const planner_settings *s, arena *a) {
     const double res = s->resolution_m;
-    const int local = cells_of(s->local_size_m, res), global = cells_of(s->global_size_m, res);
+    const int local = cells_of(s->local_size_m, res);
+    const int global = cells_of(s->global_size_m, res);
     const int largest = local > global ? local : global;
     memory_layout_map(&n->local, local, res, true, a);
     memory_layout_map(&n->global, global, res, false, a);

@@ -18,7 +18,8 @@ navigator *navigator_init(void *memory, const planner_settings *set, const plann
     footprint_lines_make(&r->lines, footprint_line_reach(&n->shape, set->resolution_m), n->local.frame.w);
     for (int i = 0; i < (int)set->beams; ++i) {
         const double angle = -set->angle_max_rad + i * (2 * set->angle_max_rad / ((int)set->beams - 1));
-        n->beam_cos[i] = cos(angle), n->beam_sin[i] = sin(angle);
+        n->beam_cos[i] = cos(angle);
+        n->beam_sin[i] = sin(angle);
     }
     n->plan.single = fast;
     n->plan.margin = fast ? NAVFN_MARGIN_FAST : NAVFN_MARGIN_EXACT;
@@ -69,10 +70,12 @@ void navigator_set_parameters(navigator *n, const planner_parameters *par) {
 
 WIDE static void project(const float *ranges, const double *beam_cos, const double *beam_sin, int count, double c,
                          double s, const observation *o) {
-    float *to_x = o->x, *to_y = o->y;
+    float *to_x = o->x;
+    float *to_y = o->y;
     for (int i = 0; i < count; ++i) {
         const double r = ranges[i];
-        const float x = (float)(r * beam_cos[i]), y = (float)(r * beam_sin[i]);
+        const float x = (float)(r * beam_cos[i]);
+        const float y = (float)(r * beam_sin[i]);
         to_x[i] = (float)(o->ox + (x * c - y * s));
         to_y[i] = (float)(o->oy + (x * s + y * c));
     }
@@ -84,7 +87,8 @@ void navigator_add_scan(navigator *n, const float *ranges, const double pose[3])
     observation *o = &n->seen;
     o->count = 0;
     if (!isfinite(pose[0]) || !isfinite(pose[1]) || !isfinite(pose[2])) return;
-    const double c = cos(pose[2]), s = sin(pose[2]);
+    const double c = cos(pose[2]);
+    const double s = sin(pose[2]);
     o->ox = pose[0] + n->set.laser_x_m * c;
     o->oy = pose[1] + n->set.laser_x_m * s;
     const int beams = (int)n->set.beams;
@@ -98,7 +102,9 @@ void navigator_add_scan(navigator *n, const float *ranges, const double pose[3])
 }
 
 static void robot_pose(const double pose[3], double out[3]) {
-    out[0] = pose[0], out[1] = pose[1], out[2] = yaw_through_quaternion(pose[2]);
+    out[0] = pose[0];
+    out[1] = pose[1];
+    out[2] = yaw_through_quaternion(pose[2]);
 }
 
 void navigator_update_local(navigator *n, const double pose[3]) {
@@ -265,8 +271,13 @@ double navigator_bearing(const navigator *n, const double pose[3], double lookah
     int nearest = 0;
     double best = INFINITY;
     for (int i = 0; i < n->latest_count; ++i) {
-        const double dx = p[2 * i] - pose[0], dy = p[2 * i + 1] - pose[1], d = dx * dx + dy * dy;
-        if (d < best) best = d, nearest = i;
+        const double dx = p[2 * i] - pose[0];
+        const double dy = p[2 * i + 1] - pose[1];
+        const double d = dx * dx + dy * dy;
+        if (d < best) {
+            best = d;
+            nearest = i;
+        }
     }
     double arc = 0;
     int i = nearest;
@@ -274,7 +285,8 @@ double navigator_bearing(const navigator *n, const double pose[3], double lookah
         arc += hypot(p[2 * i + 2] - p[2 * i], p[2 * i + 3] - p[2 * i + 1]);
         ++i;
     }
-    const double dx = p[2 * i] - pose[0], dy = p[2 * i + 1] - pose[1];
+    const double dx = p[2 * i] - pose[0];
+    const double dy = p[2 * i + 1] - pose[1];
     return dx == 0 && dy == 0 ? 0 : shortest_angle(pose[2], atan2(dy, dx));
 }
 

@@ -35,9 +35,9 @@ typedef struct {
 
 enum {
     PLANNER_PARAMETERS = sizeof(planner_parameters) / sizeof(double),  // how many there are
-    SAMPLES_MAX = 300,         // BaseLocalPlanner.cfg
-    INFLATION_CELLS_MAX = 20,  // 1 m at 0.05 m
-    VELOCITY_MAX = 20,         // BaseLocalPlanner.cfg, m/s and rad/s
+    SAMPLES_MAX = 300,                                                 // BaseLocalPlanner.cfg
+    INFLATION_CELLS_MAX = 20,                                          // 1 m at 0.05 m
+    VELOCITY_MAX = 20,                                                 // BaseLocalPlanner.cfg, m/s and rad/s
 };
 
 // A field that is not what it may be.

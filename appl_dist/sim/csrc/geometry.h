@@ -24,8 +24,10 @@ static inline uint64_t counter_key(uint64_t seed, uint64_t stamp) {
 // A standard normal deviate for (seed, stamp, index): the sum of eight 16-bit uniforms (kurtosis 2.85, |z| < 4.9),
 // integer until the last operation, so the same on every machine and for every order of calls.
 static inline double counter_normal(uint64_t key, uint64_t index) {
-    const uint64_t fields = UINT64_C(0x0000FFFF0000FFFF), step = UINT64_C(0x9E3779B97F4A7C15);
-    const uint64_t one = counter_mix(key + (2 * index + 1) * step), two = counter_mix(key + (2 * index + 2) * step);
+    const uint64_t fields = UINT64_C(0x0000FFFF0000FFFF);
+    const uint64_t step = UINT64_C(0x9E3779B97F4A7C15);
+    const uint64_t one = counter_mix(key + (2 * index + 1) * step);
+    const uint64_t two = counter_mix(key + (2 * index + 2) * step);
     const uint64_t halves = (one & fields) + ((one >> 16) & fields) + (two & fields) + ((two >> 16) & fields);
     const int64_t sum = (int64_t)((halves & UINT64_C(0xFFFFFFFF)) + (halves >> 32));
     // Mean 8 * 65535 / 2, variance 8 * (65536^2 - 1) / 12.

@@ -5,12 +5,14 @@
 // Give `label` to the free cells connected to `seed`; returns how many there are.
 static int flood(const uint8_t *blocked, int rows, int cols, uint8_t *region, int32_t *stack, int32_t seed,
                  uint8_t label) {
-    int size = 0, depth = 0;
+    int size = 0;
+    int depth = 0;
     region[seed] = label;
     stack[depth++] = seed;
     while (depth > 0) {
         const int32_t cell = stack[--depth];
-        const int r = cell / cols, c = cell % cols;
+        const int r = cell / cols;
+        const int c = cell % cols;
         ++size;
         const int32_t next[4] = {r > 0 ? cell - cols : -1, r + 1 < rows ? cell + cols : -1, c > 0 ? cell - 1 : -1,
                                  c + 1 < cols ? cell + 1 : -1};

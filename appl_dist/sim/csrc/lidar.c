@@ -17,8 +17,12 @@ void lidar_directions(const lidar_spec *spec, double *cosines, double *sines) {
 
 // atan2 to 4e-4 rad: spans are widened by that. libm's own was a third of a scan's time.
 static inline double bearing(double y, double x) {
-    const double ax = fabs(x), ay = fabs(y), big = ax > ay ? ax : ay, small = ax > ay ? ay : ax;
-    const double a = small / big, s = a * a;
+    const double ax = fabs(x);
+    const double ay = fabs(y);
+    const double big = ax > ay ? ax : ay;
+    const double small = ax > ay ? ay : ax;
+    const double a = small / big;
+    const double s = a * a;
     const double octant = ((-0.0464964749 * s + 0.15931422) * s - 0.327622764) * s * a + a;
     const double quadrant = ay > ax ? 0.5 * PI - octant : octant;
     return copysign(x < 0.0 ? PI - quadrant : quadrant, y);
@@ -37,12 +41,17 @@ static void look(const lidar_spec *spec, const double pose[3], double c, double 
                  view *seen) {
     const double per_radian = 1.0 / spec->increment;
     for (int k = 0; k < n; ++k) {
-        const double dx = cylinders[3 * k] - pose[0], dy = cylinders[3 * k + 1] - pose[1];
-        const double radius = cylinders[3 * k + 2], d2 = dx * dx + dy * dy, reach = spec->range_max + radius;
-        const double x = c * dx + s * dy, y = c * dy - s * dx;
+        const double dx = cylinders[3 * k] - pose[0];
+        const double dy = cylinders[3 * k + 1] - pose[1];
+        const double radius = cylinders[3 * k + 2];
+        const double d2 = dx * dx + dy * dy;
+        const double reach = spec->range_max + radius;
+        const double x = c * dx + s * dy;
+        const double y = c * dy - s * dx;
         // Only beams within asin(r / d) of the centre's bearing can hit. asin(q) <= q + 0.5708 q^3 on [0, 1], and one
         // beam more on each side covers rounding; hit_lanes decides exactly.
-        const double q = radius / sqrt(d2), half = (q + 0.5708 * q * q * q + 4e-4) * per_radian + 1.0;
+        const double q = radius / sqrt(d2);
+        const double half = (q + 0.5708 * q * q * q + 4e-4) * per_radian + 1.0;
         seen->x[k] = x;
         seen->y[k] = y;
         seen->offset[k] = x * x + y * y - radius * radius;
@@ -68,11 +77,13 @@ static inline void hit_lanes(const double *restrict c, const double *restrict s,
 WIDE void lidar_cast(const lidar *sensor, const double pose[3], const double *cylinders, size_t n, uint64_t seed,
                      uint64_t stamp, float *ranges) {
     const lidar_spec *spec = &sensor->spec;
-    const double *cosines = sensor->cosines, *sines = sensor->sines;
+    const double *cosines = sensor->cosines;
+    const double *sines = sensor->sines;
     const double turn = 2.0 * PI / spec->increment;
     double c, s;
     trig_sincos(pose[2], &s, &c);
-    const long beams = (long)spec->beams, end = beams - LANES;
+    const long beams = (long)spec->beams;
+    const long end = beams - LANES;
     for (long i = 0; i < beams; ++i) ranges[i] = INFINITY;
 
     view seen;
@@ -87,7 +98,8 @@ WIDE void lidar_cast(const lidar *sensor, const double pose[3], const double *cy
             while (middle - turn + half >= 0.0) middle -= turn;
             for (; middle - half <= (double)(beams - 1); middle += turn) {
                 if (middle + half < 0.0) continue;
-                const double low = middle - half, high = middle + half;
+                const double low = middle - half;
+                const double high = middle + half;
                 const long last = high < (double)(beams - 1) ? (long)high : beams - 1;
                 // From a multiple of LANES on, so that what one cylinder stored the next one loads whole.
                 for (long at = low > 0.0 ? (long)low / LANES * LANES : 0; at <= last; at += LANES) {

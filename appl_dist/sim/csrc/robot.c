@@ -25,7 +25,8 @@ static int is_free(const robot *r, int ms) {
     const double speed =
         sqrt(r->state.vx * r->state.vx + r->state.vy * r->state.vy) + fabs(r->state.w) * r->spec.hull_radius;
     // Tyres give at most sqrt(2) mu g of acceleration; 15 m/s^2 bounds that with the hull's swing.
-    const double time = 1e-3 * ms, reach = (speed + 0.5 * 15.0 * time) * time + NEAR_M;
+    const double time = 1e-3 * ms;
+    const double reach = (speed + 0.5 * 15.0 * time) * time + NEAR_M;
     return robot_clearance(r, reach) >= reach;
 }
 
@@ -75,9 +76,12 @@ void robot_resolve(robot *r, const robot_contact *k) {
     r->rolled_over |= k->rolled_over;
     if (!k->held) return;
     vehicle_state *state = &r->state;
-    const double dx = k->x - r->before.x, dy = k->y - r->before.y;
+    const double dx = k->x - r->before.x;
+    const double dy = k->y - r->before.y;
     state->distance = r->before.distance + sqrt(dx * dx + dy * dy);
-    state->x = k->x, state->y = k->y, state->yaw = k->yaw;
+    state->x = k->x;
+    state->y = k->y;
+    state->yaw = k->yaw;
     double c, s;
     trig_sincos(k->yaw, &s, &c);
     state->vx += k->dvx - k->dw * (s * r->spec.com_x + c * r->spec.com_y);

@@ -14,7 +14,8 @@ static inline void trig_sincos(double x, double *sine, double *cosine) {
     const double second = quarter * 6.07710050630396597660e-11;     // the next 33 bits
     const double head = first - second;
     const double tail = ((first - head) - second) - quarter * 2.02226624879595063154e-21;
-    const double r = head + tail, low = (head - r) + tail;
+    const double r = head + tail;
+    const double low = (head - r) + tail;
 
     const double z = r * r;
     const double ps =
@@ -28,7 +29,8 @@ static inline void trig_sincos(double x, double *sine, double *cosine) {
                                 z * (2.48015872894767294178e-05 +
                                      z * (-2.75573143513906633035e-07 +
                                           z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)))));
-    const double half = 0.5 * z, one = 1.0 - half;
+    const double half = 0.5 * z;
+    const double one = 1.0 - half;
     const double c = one + (((1.0 - one) - half) + (z * pc - r * low));
 
     switch ((int64_t)quarter & 3) {

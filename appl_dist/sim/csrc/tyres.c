@@ -44,7 +44,8 @@ static void turn_wheels(const vehicle_spec *spec, vehicle_state *state, double d
     const int stale = state->command_age_ms >= spec->timeout_ms;
     const double v = stale ? 0.0 : clamp(state->command_v, -spec->max_v, spec->max_v);
     const double w = stale ? 0.0 : clamp(state->command_w, -spec->max_w, spec->max_w);
-    const double dv = spec->max_accel * dt, dw = spec->max_alpha * dt;
+    const double dv = spec->max_accel * dt;
+    const double dw = spec->max_alpha * dt;
     state->wheel_v = clamp(v, state->wheel_v - dv, state->wheel_v + dv);
     state->wheel_w = clamp(w, state->wheel_w - dw, state->wheel_w + dw);
 }
@@ -61,7 +62,8 @@ static stance stand(const vehicle_spec *spec) {
     for (int i = 0; i < CONTACTS; ++i) {
         k.x[i] = i & 2 ? spec->wheel_x : -spec->wheel_x;
         k.y[i] = (i & 1 ? 1.0 : -1.0) * spec->wheel_y + (i & 4 ? spec->wheel_half_width : -spec->wheel_half_width);
-        k.from_com_x[i] = k.x[i] - spec->com_x, k.from_com_y[i] = k.y[i] - spec->com_y;
+        k.from_com_x[i] = k.x[i] - spec->com_x;
+        k.from_com_y[i] = k.y[i] - spec->com_y;
         k.xx += k.x[i] * k.x[i];
         k.yy += k.y[i] * k.y[i];
     }
@@ -85,7 +87,8 @@ static void load_contacts(const vehicle_spec *spec, const stance *k, const vehic
 
 // c, s: cos and sin of the yaw.
 static void solve_friction(const vehicle_spec *spec, const stance *k, vehicle_state *state, double c, double s) {
-    const double inverse_mass = k->inverse_mass, inverse_inertia = k->inverse_inertia;
+    const double inverse_mass = k->inverse_mass;
+    const double inverse_inertia = k->inverse_inertia;
     double arm_x[CONTACTS], arm_y[CONTACTS], scale_x[CONTACTS], scale_y[CONTACTS], limit[CONTACTS];
     double impulse_x[CONTACTS], impulse_y[CONTACTS], target[2][2];
     for (int i = 0; i < CONTACTS; ++i) {
@@ -95,13 +98,16 @@ static void solve_friction(const vehicle_spec *spec, const stance *k, vehicle_st
         scale_y[i] = 1.0 / (inverse_mass + arm_x[i] * arm_x[i] * inverse_inertia);
     }
     for (int left = 0; left < 2; ++left) {
-        const double side = left ? 1.0 : -1.0, tread = state->wheel_v - side * state->wheel_w * 0.5 * spec->separation;
+        const double side = left ? 1.0 : -1.0;
+        const double tread = state->wheel_v - side * state->wheel_w * 0.5 * spec->separation;
         target[left][0] = tread * c;
         target[left][1] = tread * s;
     }
     load_contacts(spec, k, state, c, s, limit);
 
-    double vx = state->vx, vy = state->vy, w = state->w;
+    double vx = state->vx;
+    double vy = state->vy;
+    double w = state->w;
     for (int i = 0; i < CONTACTS; ++i) {
         impulse_x[i] = clamp(state->impulse[i][0], -limit[i], limit[i]);
         impulse_y[i] = clamp(state->impulse[i][1], -limit[i], limit[i]);
@@ -129,7 +135,10 @@ static void solve_friction(const vehicle_spec *spec, const stance *k, vehicle_st
         }
         if (change < TOLERANCE) break;
     }
-    for (int i = 0; i < CONTACTS; ++i) state->impulse[i][0] = impulse_x[i], state->impulse[i][1] = impulse_y[i];
+    for (int i = 0; i < CONTACTS; ++i) {
+        state->impulse[i][0] = impulse_x[i];
+        state->impulse[i][1] = impulse_y[i];
+    }
     state->force_x = spec->mass * (vx - state->vx) / STEP_S;
     state->force_y = spec->mass * (vy - state->vy) / STEP_S;
     state->vx = vx;
@@ -140,10 +149,12 @@ static void solve_friction(const vehicle_spec *spec, const stance *k, vehicle_st
 // c, s: cos and sin of the yaw, before and after.
 static void move(const vehicle_spec *spec, vehicle_state *state, double *c, double *s) {
     // Semi-implicit: the centre of mass moves along the new velocity, base_link follows rigidly.
-    const double c0 = *c, s0 = *s;
+    const double c0 = *c;
+    const double s0 = *s;
     state->yaw += state->w * STEP_S;
     trig_sincos(state->yaw, s, c);
-    const double c1 = *c, s1 = *s;
+    const double c1 = *c;
+    const double s1 = *s;
     const double dx = state->vx * STEP_S + (c0 - c1) * spec->com_x - (s0 - s1) * spec->com_y;
     const double dy = state->vy * STEP_S + (s0 - s1) * spec->com_x + (c0 - c1) * spec->com_y;
     state->x += dx;
@@ -168,7 +179,9 @@ static void filter_odometry(const vehicle_spec *spec, vehicle_state *state) {
 static void ideal_step(const vehicle_spec *spec, vehicle_state *state, int ms) {
     const double dt = STEP_S * ms;
     turn_wheels(spec, state, dt);
-    const double v = state->wheel_v, w = state->wheel_w, heading = state->yaw + 0.5 * w * dt;
+    const double v = state->wheel_v;
+    const double w = state->wheel_w;
+    const double heading = state->yaw + 0.5 * w * dt;
     state->x += v * cos(heading) * dt;
     state->y += v * sin(heading) * dt;
     state->yaw += w * dt;

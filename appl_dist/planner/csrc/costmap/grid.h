@@ -40,7 +40,8 @@ static inline grid_window window_grown(grid_window k, int by) {
 // Costmap2D::worldToMap. False for points off the map and for NaN.
 static inline bool world_to_map(const grid_frame *g, double wx, double wy, int *mx, int *my) {
     if (!(wx >= g->ox && wy >= g->oy)) return false;
-    const double cx = (wx - g->ox) / g->res, cy = (wy - g->oy) / g->res;
+    const double cx = (wx - g->ox) / g->res;
+    const double cy = (wy - g->oy) / g->res;
     if (!(cx < g->w && cy < g->h)) return false;
     *mx = (int)cx;
     *my = (int)cy;
@@ -66,15 +67,25 @@ typedef struct {
 } grid_line;
 
 static inline grid_line line_between(int x0, int y0, int x1, int y1) {
-    const int ax = abs(x1 - x0), ay = abs(y1 - y0);
-    const int sx = x1 >= x0 ? 1 : -1, sy = y1 >= y0 ? 1 : -1;
+    const int ax = abs(x1 - x0);
+    const int ay = abs(y1 - y0);
+    const int sx = x1 >= x0 ? 1 : -1;
+    const int sy = y1 >= y0 ? 1 : -1;
     grid_line l = {.x = x0, .y = y0};
     if (ax >= ay) {
-        l.den = ax, l.num = ax / 2, l.add = ay, l.steps = ax;
-        l.dy1 = sy, l.dx2 = sx;
+        l.den = ax;
+        l.num = ax / 2;
+        l.add = ay;
+        l.steps = ax;
+        l.dy1 = sy;
+        l.dx2 = sx;
     } else {
-        l.den = ay, l.num = ay / 2, l.add = ax, l.steps = ay;
-        l.dx1 = sx, l.dy2 = sy;
+        l.den = ay;
+        l.num = ay / 2;
+        l.add = ax;
+        l.steps = ay;
+        l.dx1 = sx;
+        l.dy2 = sy;
     }
     return l;
 }
@@ -92,7 +103,8 @@ static inline void line_advance(grid_line *l) {
 
 // Yaw after a trip through a quaternion, as poses and velocities make it in ROS (tf2 setRPY, getYaw).
 static inline double yaw_through_quaternion(double yaw) {
-    const double z = sin(yaw * 0.5), w = cos(yaw * 0.5);
+    const double z = sin(yaw * 0.5);
+    const double w = cos(yaw * 0.5);
     return atan2(2 * (w * z), w * w - z * z);
 }
 

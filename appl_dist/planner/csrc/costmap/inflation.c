@@ -39,14 +39,19 @@ static void build_kernel(inflation *f) {
     const int far = INFLATION_CELLS_MAX;
     for (int dy = -far; dy <= far; ++dy)
         for (int dx = -far; dx <= far; ++dx) {
-            const int column = abs(dx), row = abs(dy);
-            const uint8_t aside = bin_of[row][column + 1], along = bin_of[row + 1][column];
+            const int column = abs(dx);
+            const int row = abs(dy);
+            const uint8_t aside = bin_of[row][column + 1];
+            const uint8_t along = bin_of[row + 1][column];
             const uint8_t to[4] = {dx <= 0 ? aside : 255, dy <= 0 ? along : 255, dx >= 0 ? aside : 255,
                                    dy >= 0 ? along : 255};
             inflation_moves *m = &f->moves[offset_of(dx, dy)];
             *m = (inflation_moves){.bin = {255, 255, 255, 255}};
             for (uint8_t side = 0; side < 4; ++side)
-                if (to[side] < 255) m->bin[m->count] = to[side], m->side[m->count++] = side;
+                if (to[side] < 255) {
+                    m->bin[m->count] = to[side];
+                    m->side[m->count++] = side;
+                }
         }
 }
 
@@ -65,7 +70,10 @@ bool inflation_set(inflation *f, double radius, double weight, double inscribed,
     if (!(radius >= 0 && weight >= 0 && radius <= INFLATION_CELLS_MAX * res)) return false;
     if (f->radius == radius && f->weight == weight && f->inscribed == inscribed && f->res == res && f->bins > 0)
         return true;
-    f->radius = radius, f->weight = weight, f->inscribed = inscribed, f->res = res;
+    f->radius = radius;
+    f->weight = weight;
+    f->inscribed = inscribed;
+    f->res = res;
     f->cells = cell_distance(radius, res);
     if (f->cells > INFLATION_CELLS_MAX) f->cells = INFLATION_CELLS_MAX;
     f->need_reinflation = true;
@@ -75,9 +83,14 @@ bool inflation_set(inflation *f, double radius, double weight, double inscribed,
 }
 
 void inflation_bounds(inflation *f, double *min_x, double *min_y, double *max_x, double *max_y) {
-    const double was_min_x = f->last_min_x, was_min_y = f->last_min_y;
-    const double was_max_x = f->last_max_x, was_max_y = f->last_max_y;
-    f->last_min_x = *min_x, f->last_min_y = *min_y, f->last_max_x = *max_x, f->last_max_y = *max_y;
+    const double was_min_x = f->last_min_x;
+    const double was_min_y = f->last_min_y;
+    const double was_max_x = f->last_max_x;
+    const double was_max_y = f->last_max_y;
+    f->last_min_x = *min_x;
+    f->last_min_y = *min_y;
+    f->last_max_x = *max_x;
+    f->last_max_y = *max_y;
     if (f->need_reinflation) {
         *min_x = *min_y = -FLT_MAX;
         *max_x = *max_y = FLT_MAX;
@@ -122,19 +135,22 @@ static inline void offer(brushfire *b, uint8_t bin, int cell, int offset) {
 
 // `inside`: the fire stays clear of the map's edges.
 static inline void burn(const inflation *f, brushfire *b, uint8_t *map, int w, int h, bool inside) {
-    const int step[4] = {-1, -w, 1, w}, turn[4] = {-1, -INFLATION_SIDE, 1, INFLATION_SIDE};
+    const int step[4] = {-1, -w, 1, w};
+    const int turn[4] = {-1, -INFLATION_SIDE, 1, INFLATION_SIDE};
     for (int bin = 0; bin < f->bins; ++bin) {
         const uint8_t cost = f->cost_of_bin[bin];
         for (const inflation_page *page = b->first[bin]; page; page = page->next) {
             const inflation_entry *end = page->next ? page->entries + INFLATION_PAGE : b->tail[bin];
             for (const inflation_entry *at = page->entries; at < end; ++at) {
-                const int cell = at->cell, offset = at->offset;
+                const int cell = at->cell;
+                const int offset = at->offset;
                 if (b->best[cell] != bin) continue;
                 const uint8_t was = map[cell];
                 map[cell] = (was == COST_UNKNOWN ? cost >= COST_INSCRIBED : was < cost) ? cost : was;
                 const inflation_moves *to = &f->moves[offset];
                 if (!inside) {
-                    const int y = cell / w, x = cell - y * w;
+                    const int y = cell / w;
+                    const int x = cell - y * w;
                     const bool open[4] = {x > 0, y > 0, x < w - 1, y < h - 1};
                     for (int k = 0; k < to->count; ++k)
                         if (open[to->side[k]])
@@ -191,8 +207,10 @@ bool inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map,
                    int yn) {
     if (f->cells == 0) return false;
     const int r = f->cells;
-    x0 = clampi(x0 - r, 0, w), xn = clampi(xn + r, 0, w);
-    y0 = clampi(y0 - r, 0, h), yn = clampi(yn + r, 0, h);
+    x0 = clampi(x0 - r, 0, w);
+    xn = clampi(xn + r, 0, w);
+    y0 = clampi(y0 - r, 0, h);
+    yn = clampi(yn + r, 0, h);
     if (x0 >= xn || y0 >= yn) return false;
     bool unknown = false;
     const int count = find_lethal(map, w, x0, y0, xn, yn, scratch->lethal, &unknown);
@@ -201,7 +219,8 @@ bool inflation_run(const inflation *f, inflation_scratch *scratch, uint8_t *map,
         return true;
     }
     // The fire leaves the window by at most its reach, and reads one cell beyond.
-    const int cx0 = clampi(x0 - r - 1, 0, w), cxn = clampi(xn + r + 1, 0, w);
+    const int cx0 = clampi(x0 - r - 1, 0, w);
+    const int cxn = clampi(xn + r + 1, 0, w);
     for (int y = clampi(y0 - r - 1, 0, h); y < clampi(yn + r + 1, 0, h); ++y)
         memset(scratch->best + y * w + cx0, 255, (size_t)(cxn - cx0));
     run_fire(f, scratch, map, w, h, scratch->lethal, count, x0 > r && y0 > r && xn + r < w && yn + r < h);

@@ -21,8 +21,10 @@ ALWAYS_INLINE void stamp_rows(uint8_t *map, int w, const uint8_t *stamp, int row
 
 // Lays the stamp of cell (x, y) on the part of a map, w cells wide, that lies in window k.
 ALWAYS_INLINE void apply_stamp(const inflation *f, uint8_t *map, int w, grid_window k, int x, int y, bool erase) {
-    const int r = f->cells, side = 2 * r + 1;
-    const grid_window all = {x - r, y - r, x + r + 1, y + r + 1}, part = window_overlap(k, all);
+    const int r = f->cells;
+    const int side = 2 * r + 1;
+    const grid_window all = {x - r, y - r, x + r + 1, y + r + 1};
+    const grid_window part = window_overlap(k, all);
     if (part.x0 == all.x0 && part.y0 == all.y0 && part.xn == all.xn && part.yn == all.yn) {
         uint8_t *corner = map + all.y0 * w + all.x0;
         switch (f->stamp_width) {
@@ -78,7 +80,8 @@ typedef struct {
 static void mark_tiles(tile_mask *t, grid_window k) {
     k = window_overlap(k, t->near);
     if (window_empty(k)) return;
-    const int first = (k.x0 - t->near.x0) >> t->shift, last = (k.xn - 1 - t->near.x0) >> t->shift;
+    const int first = (k.x0 - t->near.x0) >> t->shift;
+    const int last = (k.xn - 1 - t->near.x0) >> t->shift;
     const uint64_t columns = bits_below(last + 1) & ~bits_below(first);
     for (int y = (k.y0 - t->near.y0) >> t->shift; y <= (k.yn - 1 - t->near.y0) >> t->shift; ++y) t->rows[y] |= columns;
 }
@@ -125,15 +128,19 @@ static void update_part(const uint8_t *layer, uint8_t *map, int w, int reach, gr
 void inflation_stamps_update(const inflation *f, inflation_scratch *scratch, const uint8_t *layer, uint8_t *map, int w,
                              int h, grid_window window, grid_window exact, grid_window cleared) {
     const int r = f->cells;
-    const grid_window k = window, e = window_overlap(exact, window);
+    const grid_window k = window;
+    const grid_window e = window_overlap(exact, window);
     tile_mask t = {.near = window_overlap(window_grown(window, r), (grid_window){0, 0, w, h}), .shift = 3};
-    const int columns = t.near.xn - t.near.x0, rows = t.near.yn - t.near.y0, side = columns > rows ? columns : rows;
+    const int columns = t.near.xn - t.near.x0;
+    const int rows = t.near.yn - t.near.y0;
+    const int side = columns > rows ? columns : rows;
     while ((side - 1) >> t.shift >= 64) ++t.shift;
 
     const lethal_list l = find_changes(scratch, layer, map, w, h, window, &t);
     const int32_t *end = scratch->lethal + (ptrdiff_t)w * h;
     for (int i = 1; i <= l.gone; ++i) {
-        const int y = end[-i] / w, x = end[-i] - y * w;
+        const int y = end[-i] / w;
+        const int x = end[-i] - y * w;
         apply_stamp(f, map, w, window, x, y, true);
         mark_tiles(&t, window_grown((grid_window){x, y, x + 1, y + 1}, 2 * r));
     }
@@ -144,7 +151,8 @@ void inflation_stamps_update(const inflation *f, inflation_scratch *scratch, con
                                   cleared};
     for (int i = 0; i < 5; ++i) update_part(layer, map, w, r, window, parts[i], &t);
     for (int i = 0; i < l.count; ++i) {
-        const int y = l.cells[i] / w, x = l.cells[i] - y * w;
+        const int y = l.cells[i] / w;
+        const int x = l.cells[i] - y * w;
         const uint64_t row = t.rows[(y - t.near.y0) >> t.shift];
         if (row >> ((x - t.near.x0) >> t.shift) & 1) inflation_stamps_cell(f, map, w, h, l.cells[i]);
     }

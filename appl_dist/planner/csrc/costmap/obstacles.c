@@ -7,8 +7,10 @@ enum { CHUNK = OBSERVATION_PADDING };  // beams worked on together
 // A beam that leaves the map: cut at its edges, as ObstacleLayer::raytraceFreespace does. False where nothing is left.
 static bool cut_at_edges(const grid_frame *g, const observation *seen, double end_x, double end_y, double *x, double *y,
                          int *cx, int *cy) {
-    double wx = *x, wy = *y;
-    const double a = wx - seen->ox, c = wy - seen->oy;
+    double wx = *x;
+    double wy = *y;
+    const double a = wx - seen->ox;
+    const double c = wy - seen->oy;
     if (wx < g->ox) {
         wy = seen->oy + c * ((g->ox - seen->ox) / a);
         wx = g->ox;
@@ -25,7 +27,8 @@ static bool cut_at_edges(const grid_frame *g, const observation *seen, double en
         wx = seen->ox + a * ((end_y - seen->oy) / c);
         wy = end_y - .001;
     }
-    *x = wx, *y = wy;
+    *x = wx;
+    *y = wy;
     return world_to_map(g, wx, wy, cx, cy);
 }
 
@@ -39,18 +42,33 @@ typedef struct {
 } beams;
 
 WIDE static void find_cells(const grid_frame *g, const observation *seen, int from, int count, beams *p) {
-    const double end_x = g->ox + g->w * g->res, end_y = g->oy + g->h * g->res;
-    const double ox = g->ox, oy = g->oy, res = g->res, w = g->w, h = g->h, sx = seen->ox, sy = seen->oy;
-    const float *xs = seen->x + from, *ys = seen->y + from;
+    const double end_x = g->ox + g->w * g->res;
+    const double end_y = g->oy + g->h * g->res;
+    const double ox = g->ox;
+    const double oy = g->oy;
+    const double res = g->res;
+    const double w = g->w;
+    const double h = g->h;
+    const double sx = seen->ox;
+    const double sy = seen->oy;
+    const float *xs = seen->x + from;
+    const float *ys = seen->y + from;
     for (int i = 0; i < CHUNK; ++i) {
-        const double x = xs[i], y = ys[i], fx = (x - ox) / res, fy = (y - oy) / res;
+        const double x = xs[i];
+        const double y = ys[i];
+        const double fx = (x - ox) / res;
+        const double fy = (y - oy) / res;
         const bool inside = (x >= ox) & (y >= oy) & (fx < w) & (fy < h) & (x <= end_x) & (y <= end_y);
-        p->x[i] = x, p->y[i] = y;
+        p->x[i] = x;
+        p->y[i] = y;
         p->square[i] = inside ? (x - sx) * (x - sx) + (y - sy) * (y - sy) : INFINITY;
         p->cx[i] = inside ? fx : -1.0;
         p->cy[i] = inside ? fy : -1.0;
     }
-    for (int i = count; i < CHUNK; ++i) p->cx[i] = p->cy[i] = -1.0, p->square[i] = INFINITY;
+    for (int i = count; i < CHUNK; ++i) {
+        p->cx[i] = p->cy[i] = -1.0;
+        p->square[i] = INFINITY;
+    }
     double least = 0;
     for (int i = 0; i < count; ++i) least = p->cx[i] < least ? p->cx[i] : least;
     p->cut = false;
@@ -59,7 +77,8 @@ WIDE static void find_cells(const grid_frame *g, const observation *seen, int fr
             int cx, cy;
             p->cut = true;
             if (!cut_at_edges(g, seen, end_x, end_y, &p->x[i], &p->y[i], &cx, &cy)) continue;
-            p->cx[i] = cx, p->cy[i] = cy;
+            p->cx[i] = cx;
+            p->cy[i] = cy;
             p->square[i] = (p->x[i] - sx) * (p->x[i] - sx) + (p->y[i] - sy) * (p->y[i] - sy);
         }
     for (int i = 0; i < CHUNK; ++i) p->cell[i] = (int32_t)p->cy[i] * g->w + (int32_t)p->cx[i];
@@ -91,7 +110,10 @@ WIDE static void extend_bounds(const beams *p, double reach, bounds *b) {
 
 // Widens `b` by how far the beams clear. Only the extremes of those beyond the range are worth a hypot.
 static void extend_by_clearing(const observation *seen, double range, int count, const beams *p, bounds *b) {
-    const double sx = seen->ox, sy = seen->oy, far = 0.999 * range * range, close = 1e-6;
+    const double sx = seen->ox;
+    const double sy = seen->oy;
+    const double far = 0.999 * range * range;
+    const double close = 1e-6;
     bounds ends = {INFINITY, INFINITY, -INFINITY, -INFINITY};
     extend_bounds(p, far, &ends);
     if (ends.min_x <= ends.max_x) {  // rounding keeps order: the extremes stay the extremes
@@ -104,11 +126,13 @@ static void extend_by_clearing(const observation *seen, double range, int count,
         return;
     bounds distant = {INFINITY, INFINITY, -INFINITY, -INFINITY};
     double tx[CHUNK], ty[CHUNK];
-    int beyond[CHUNK], beyond_count = 0;
+    int beyond[CHUNK];
+    int beyond_count = 0;
     for (int i = 0; i < count; ++i) {
         if (p->cx[i] < 0 || p->square[i] < far) continue;
         const double scale = fmin(1.0, range / sqrt(p->square[i]));
-        tx[beyond_count] = sx + (p->x[i] - sx) * scale, ty[beyond_count] = sy + (p->y[i] - sy) * scale;
+        tx[beyond_count] = sx + (p->x[i] - sx) * scale;
+        ty[beyond_count] = sy + (p->y[i] - sy) * scale;
         bounds_touch(&distant, tx[beyond_count], ty[beyond_count]);
         beyond[beyond_count++] = i;
     }
@@ -119,7 +143,8 @@ static void extend_by_clearing(const observation *seen, double range, int count,
         if (tx[k] > distant.min_x + close && ty[k] > distant.min_y + close && tx[k] < distant.max_x - close &&
             ty[k] < distant.max_y - close)
             continue;
-        const double dx = p->x[beyond[k]] - sx, dy = p->y[beyond[k]] - sy;
+        const double dx = p->x[beyond[k]] - sx;
+        const double dy = p->y[beyond[k]] - sy;
         const double scale = fmin(1.0, range / hypot(dx, dy));
         bounds_touch(b, sx + dx * scale, sy + dy * scale);
     }
@@ -129,7 +154,10 @@ static void extend_by_clearing(const observation *seen, double range, int count,
 static int mark_cut(const grid_frame *g, const observation *seen, int from, int count, double near, const beams *p,
                     int marks, bounds *b) {
     for (int i = 0; i < count; ++i) {
-        const double x = seen->x[from + i], y = seen->y[from + i], dx = x - seen->ox, dy = y - seen->oy;
+        const double x = seen->x[from + i];
+        const double y = seen->y[from + i];
+        const double dx = x - seen->ox;
+        const double dy = y - seen->oy;
         int cx, cy;
         if ((x == p->x[i] && y == p->y[i]) || !(dx * dx + dy * dy < near) || !world_to_map(g, x, y, &cx, &cy)) continue;
         seen->marks[marks++] = cy * g->w + cx;
@@ -144,7 +172,9 @@ void obstacles_observe(uint8_t *layer, const grid_frame *g, const observation *s
     const bool on_map = world_to_map(g, seen->ox, seen->oy, &clearing.x0, &clearing.y0);
     if (on_map) bounds_touch(b, seen->ox, seen->oy);
     const double near = obstacle_range * obstacle_range;
-    int marks = 0, last_line = -1, last_mark = -1;
+    int marks = 0;
+    int last_line = -1;
+    int last_mark = -1;
     for (int from = 0; from < seen->count; from += CHUNK) {
         const int count = seen->count - from < CHUNK ? seen->count - from : CHUNK;
         beams p;

@@ -5,7 +5,8 @@
 // Direction as a number in 0..8 that grows counterclockwise: the slope within a quadrant around each half axis.
 static inline float direction(int dx, int dy) {
     const bool along_x = abs(dx) >= abs(dy);
-    const float main = (float)(along_x ? dx : dy), aside = (float)(along_x ? dy : -dx);
+    const float main = (float)(along_x ? dx : dy);
+    const float aside = (float)(along_x ? dy : -dx);
     return aside / main + (along_x ? 1.0f : 3.0f) + (main > 0 ? 0.0f : 4.0f);
 }
 
@@ -23,7 +24,8 @@ static void sort_by_direction(raytrace_clearing *f) {
         raytrace_line *l = &f->lines[i];
         if (l->dx == 0 && l->dy == 0) continue;
         const int sector = sector_of(direction(l->dx, l->dy)) & (RAYTRACE_SECTORS - 1);
-        const int far = longer(l->dx, l->dy), steps = far < f->reach ? far : f->reach;
+        const int far = longer(l->dx, l->dy);
+        const int steps = far < f->reach ? far : f->reach;
         l->next = f->first[sector];
         f->first[sector] = i;
         if (steps > f->longest[sector]) f->longest[sector] = (int16_t)steps;
@@ -50,9 +52,12 @@ static int steps_of(const raytrace_line *l, int far, int reach) {
 // Step i of a line is (far / 2 + i near) / far cells aside: grid_line in closed form.
 static inline bool crosses(const raytrace_clearing *f, const raytrace_line *l, int dx, int dy) {
     const bool along_x = abs(l->dx) >= abs(l->dy);
-    const int main = along_x ? l->dx : l->dy, other = along_x ? l->dy : l->dx;
-    const int far = abs(main), near = abs(other);
-    const int i = (main > 0 ? 1 : -1) * (along_x ? dx : dy), aside = (other >= 0 ? 1 : -1) * (along_x ? dy : dx);
+    const int main = along_x ? l->dx : l->dy;
+    const int other = along_x ? l->dy : l->dx;
+    const int far = abs(main);
+    const int near = abs(other);
+    const int i = (main > 0 ? 1 : -1) * (along_x ? dx : dy);
+    const int aside = (other >= 0 ? 1 : -1) * (along_x ? dy : dx);
     const int part = far / 2 + i * near - aside * far;
     if (!(i > 0 && i <= far && aside >= 0 && part >= 0 && part < far)) return false;
     return i <= steps_of(l, far, f->reach);
@@ -82,7 +87,8 @@ void raytrace_clearing_run(raytrace_clearing *f, uint8_t *layer, int w, int h) {
     if (f->count == 0) return;
     sort_by_direction(f);
     const int reach = f->reach < w + h ? f->reach : w + h;
-    const int first = f->x0 > reach ? f->x0 - reach : 0, last = f->x0 + reach < w ? f->x0 + reach : w - 1;
+    const int first = f->x0 > reach ? f->x0 - reach : 0;
+    const int last = f->x0 + reach < w ? f->x0 + reach : w - 1;
     for (int y = f->y0 > reach ? f->y0 - reach : 0; y < h && y <= f->y0 + reach; ++y) {
         uint8_t *row = layer + y * w;
         for (int from = first; from <= last; from += RUN) {
@@ -92,7 +98,8 @@ void raytrace_clearing_run(raytrace_clearing *f, uint8_t *layer, int w, int h) {
             for (int k = 0; k < RUN / 8; ++k) {
                 if (!cells[k]) continue;
                 for (uint64_t left = cells[k]; left;) {
-                    const int byte = __builtin_ctzll(left) >> 3, x = from + 8 * k + byte;  // the lowest comes first
+                    const int byte = __builtin_ctzll(left) >> 3;
+                    const int x = from + 8 * k + byte;  // the lowest comes first
                     left &= ~(UINT64_C(0xff) << (8 * byte));
                     if (x <= last && is_crossed(f, x - f->x0, y - f->y0)) row[x] = COST_FREE;
                 }

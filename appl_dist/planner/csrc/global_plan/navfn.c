@@ -19,7 +19,10 @@ void navfn_init(navfn *n) {
     memset(n->master, COST_UNKNOWN, (size_t)cells);
     memset(n->cost, BLOCKED, (size_t)cells);
     for (int y = 1; y < n->h - 1; ++y) memset(n->cost + y * n->w + 1, n->cost_of[COST_UNKNOWN], (size_t)(n->w - 2));
-    for (int i = 0; i < cells; ++i) n->potential[i] = NAVFN_NONE, n->step[i] = n->step_of[n->cost[i]];
+    for (int i = 0; i < cells; ++i) {
+        n->potential[i] = NAVFN_NONE;
+        n->step[i] = n->step_of[n->cost[i]];
+    }
     n->reached_count = 0;
     n->remain_goal = -1;
     navfn_restart(n);
@@ -42,10 +45,12 @@ static bool wave_reached(const navfn *n, int i) {
 
 void navfn_sync(navfn *n, const uint8_t *master, grid_window k) {
     enum { RUN = 32 };  // cells compared at once
-    const int x0 = k.x0 > 1 ? k.x0 : 1, xn = k.xn < n->w - 1 ? k.xn : n->w - 1;
+    const int x0 = k.x0 > 1 ? k.x0 : 1;
+    const int xn = k.xn < n->w - 1 ? k.xn : n->w - 1;
     for (int y = k.y0 > 1 ? k.y0 : 1; y < k.yn && y < n->h - 1; ++y)
         for (int x = x0; x < xn; x += RUN) {
-            const int first = y * n->w + x, count = xn - x < RUN ? xn - x : RUN;
+            const int first = y * n->w + x;
+            const int count = xn - x < RUN ? xn - x : RUN;
             if (count == RUN) {
                 uint64_t was[RUN / 8], is[RUN / 8];
                 memcpy(was, n->master + first, RUN);
@@ -82,7 +87,10 @@ bool navfn_plan(navfn *n, const grid_frame *g, uint8_t *master, double start_x, 
     if (n->fresh && n->start == start && n->goal == goal && n->goal_x == goal_x && n->goal_y == goal_y)
         return n->plan_count > 0;
     n->fresh = true;
-    n->start = start, n->goal = goal, n->goal_x = goal_x, n->goal_y = goal_y;
+    n->start = start;
+    n->goal = goal;
+    n->goal_x = goal_x;
+    n->goal_y = goal_y;
     n->plan_count = 0;
     if (!navfn_wave(n, start, goal)) return false;
     const int count = navfn_follow(n, start, goal);

@@ -6,7 +6,8 @@ static inline float length_of(float x, float y) { return (float)sqrt((double)x *
 static void gradient(const navfn *n, int i, float *gx, float *gy) {
     const float *p = n->potential;
     const float here = p[i];
-    float dx = 0, dy = 0;
+    float dx = 0;
+    float dy = 0;
     *gx = *gy = 0;
     if (i < n->w || i > n->w * n->h - n->w || here >= NAVFN_NONE) return;
     if (p[i - 1] < NAVFN_NONE) dx += p[i - 1] - here;
@@ -25,10 +26,14 @@ static const int ring_x[8] = {-1, 0, 1, -1, 1, -1, 0, 1}, ring_y[8] = {-1, -1, -
 // NavFn::calcPath: half-cell steps down the gradient, cell steps where the wave's edge is near. Where it gives up,
 // NavfnROS uses the points found so far all the same.
 int navfn_follow(navfn *n, int start, int goal) {
-    const int w = n->w, cells = n->w * n->h;
+    const int w = n->w;
+    const int cells = n->w * n->h;
     const float *p = n->potential;
-    int at = goal, count = 0;
-    float dx = 0, dy = 0, gx[4], gy[4];
+    int at = goal;
+    int count = 0;
+    float dx = 0;
+    float dy = 0;
+    float gx[4], gy[4];
     int known = -1;  // the cell whose corners' gradients are in gx, gy
     while (count < n->path_capacity) {
         int nearest = at + (int)roundf(dx) + (int)((float)w * roundf(dy));
@@ -51,10 +56,14 @@ int navfn_follow(navfn *n, int start, int goal) {
         }
         if (edge) {
             if (p[at] >= NAVFN_NONE) return count;
-            int lowest = (int)p[at], best = at;
+            int lowest = (int)p[at];
+            int best = at;
             for (int k = 0; k < 8; ++k) {
                 const int i = at + ring_y[k] * w + ring_x[k];
-                if (p[i] < (float)lowest) lowest = (int)p[i], best = i;
+                if (p[i] < (float)lowest) {
+                    lowest = (int)p[i];
+                    best = i;
+                }
             }
             at = best;
             dx = dy = 0;
@@ -63,18 +72,32 @@ int navfn_follow(navfn *n, int start, int goal) {
         const int corner[4] = {at, at + 1, at + w, at + w + 1};
         for (int k = 0; k < 4 && at != known; ++k) gradient(n, corner[k], &gx[k], &gy[k]);
         known = at;
-        const float x1 = (float)((1.0 - dx) * gx[0] + dx * gx[1]), x2 = (float)((1.0 - dx) * gx[2] + dx * gx[3]);
+        const float x1 = (float)((1.0 - dx) * gx[0] + dx * gx[1]);
+        const float x2 = (float)((1.0 - dx) * gx[2] + dx * gx[3]);
         const float x = (float)((1.0 - dy) * x1 + dy * x2);
-        const float y1 = (float)((1.0 - dx) * gy[0] + dx * gy[1]), y2 = (float)((1.0 - dx) * gy[2] + dx * gy[3]);
+        const float y1 = (float)((1.0 - dx) * gy[0] + dx * gy[1]);
+        const float y2 = (float)((1.0 - dx) * gy[2] + dx * gy[3]);
         const float y = (float)((1.0 - dy) * y1 + dy * y2);
         if (x == 0 && y == 0) return count;
         const float scale = 0.5f / length_of(x, y);
         dx += x * scale;
         dy += y * scale;
-        if (dx > 1.0) ++at, dx = (float)(dx - 1.0);
-        if (dx < -1.0) --at, dx = (float)(dx + 1.0);
-        if (dy > 1.0) at += w, dy = (float)(dy - 1.0);
-        if (dy < -1.0) at -= w, dy = (float)(dy + 1.0);
+        if (dx > 1.0) {
+            ++at;
+            dx = (float)(dx - 1.0);
+        }
+        if (dx < -1.0) {
+            --at;
+            dx = (float)(dx + 1.0);
+        }
+        if (dy > 1.0) {
+            at += w;
+            dy = (float)(dy - 1.0);
+        }
+        if (dy < -1.0) {
+            at -= w;
+            dy = (float)(dy + 1.0);
+        }
     }
     return count;
 }

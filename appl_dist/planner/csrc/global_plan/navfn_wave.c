@@ -35,7 +35,8 @@ static inline float planar_wave_single(float across, float along, float cost, fl
 #define BOUND_STEP 1500.0f
 
 static void measure_remaining(navfn *n, int goal) {
-    const int gx = goal % n->w, gy = goal / n->w;
+    const int gx = goal % n->w;
+    const int gy = goal / n->w;
     for (int y = 0; y < n->h; ++y) {
         const float dy = (float)(y - gy);
         float *row = n->remain + y * n->w;
@@ -56,8 +57,10 @@ static inline void remove_from_buffer(navfn *n, int cell) { n->step[cell] = n->s
 
 // Gives the cells in `now` their lower potentials, and their neighbours places in `next` or `over`.
 static inline void update_cells(navfn *n, const buffer *now, float threshold, buffer *next, buffer *over, bool single) {
-    float *p = n->potential, *step = n->step;
-    const float *remain = n->remain, bound = n->bound;
+    float *p = n->potential;
+    float *step = n->step;
+    const float *remain = n->remain;
+    const float bound = n->bound;
     const uint8_t *costs = n->cost;
     const int w = n->w;
     int32_t *reached = n->reached + n->reached_count;
@@ -89,7 +92,8 @@ static inline void update_cells(navfn *n, const buffer *now, float threshold, bu
         for (; end > NAVFN_BUFFER; --end) remove_from_buffer(n, cells[end - 1]);  // no room
         count[far] = end;
     }
-    next->count = count[0], over->count = count[1];
+    next->count = count[0];
+    over->count = count[1];
     n->reached_count = (int)(reached - n->reached);
 }
 
@@ -99,7 +103,9 @@ void navfn_clear_potential(navfn *n) {
 }
 
 static void propagate(navfn *n, int start, int goal) {
-    buffer now = {n->buffers[0], 0}, next = {n->buffers[1], 0}, over = {n->buffers[2], 0};
+    buffer now = {n->buffers[0], 0};
+    buffer next = {n->buffers[1], 0};
+    buffer over = {n->buffers[2], 0};
     float threshold = FIRST_THRESHOLD;
     navfn_clear_potential(n);
     n->potential[start] = 0;
@@ -108,18 +114,23 @@ static void propagate(navfn *n, int start, int goal) {
     for (int k = 0; k < 4; ++k)
         if (around[k] >= 0 && around[k] < n->w * n->h && n->step[around[k]] < INFINITY)
             now.cells[now.count++] = around[k];
-    const int area = n->w * n->h / 20, cycles = area > n->w + n->h ? area : n->w + n->h;
+    const int area = n->w * n->h / 20;
+    const int cycles = area > n->w + n->h ? area : n->w + n->h;
     for (int cycle = 0; cycle < cycles && (now.count || next.count); ++cycle) {
         for (int k = 0; k < now.count; ++k) remove_from_buffer(n, now.cells[k]);
         if (n->single) update_cells(n, &now, threshold, &next, &over, true);
         else update_cells(n, &now, threshold, &next, &over, false);
         n->cells += now.count;
         buffer t = now;
-        now = next, next = t, next.count = 0;
+        now = next;
+        next = t;
+        next.count = 0;
         if (now.count == 0) {
             threshold += THRESHOLD_STEP;
             t = now;
-            now = over, over = t, over.count = 0;
+            now = over;
+            over = t;
+            over.count = 0;
         }
         if (n->potential[goal] < NAVFN_NONE) break;
     }

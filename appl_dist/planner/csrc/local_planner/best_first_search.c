@@ -16,7 +16,9 @@ static int start_cost(rollout_planner *p, const motion *m) {
 
 // A bound from what the waves know already; INFINITY where the last point cannot be legal.
 static double distance_bound(const rollout_planner *p, sample_block *b, int i) {
-    const int x = b->cx[i], y = b->cy[i], straight = abs(x - p->goal_column) + abs(y - p->goal_row);
+    const int x = b->cx[i];
+    const int y = b->cy[i];
+    const int straight = abs(x - p->goal_column) + abs(y - p->goal_row);
     b->path[i] = wavefront_at_least(&p->path, x, y);
     b->goal[i] = wavefront_at_least(&p->goal, x, y);
     if (b->path[i] >= WAVE_LIMIT || b->goal[i] >= WAVE_LIMIT) return INFINITY;
@@ -47,7 +49,10 @@ static void first_bounds(rollout_planner *p) {
         const int straight = abs(b->cx[i] - p->goal_column) + abs(b->cy[i] - p->goal_row);
         if (b->known[i] == 1 && straight < nearest) nearest = straight;
     }
-    if (nearest < WAVE_LIMIT) wavefront_grow_to(&p->goal, nearest), wavefront_grow_to(&p->path, SURE_PATH_LEVEL);
+    if (nearest < WAVE_LIMIT) {
+        wavefront_grow_to(&p->goal, nearest);
+        wavefront_grow_to(&p->path, SURE_PATH_LEVEL);
+    }
     for (int at = 0; at < s->used; ++at)
         s->bounds.level[0][at] = first_bound(p, &s->blocks[at / SAMPLE_LANES], at % SAMPLE_LANES);
     minimum_tree_build(&s->bounds, s->used);
@@ -78,14 +83,17 @@ static void search_blocks(rollout_planner *p, const motion *m, rollout *best) {
     best_first_scratch *s = &p->search;
     first_bounds(p);
     for (;;) {
-        const int at = minimum_tree_first(&s->bounds), i = at % SAMPLE_LANES;
+        const int at = minimum_tree_first(&s->bounds);
+        const int i = at % SAMPLE_LANES;
         sample_block *b = &s->blocks[at / SAMPLE_LANES];
         const double bound = s->bounds.level[0][at];
         if (bound == INFINITY || (best->cost >= 0 && bound >= best->cost)) return;  // earlier samples win ties
         double sharper = INFINITY;
         switch ((sample_stage)b->stage[i]) {
             case SAMPLE_SCORED:
-                best->v = b->v[i], best->w = b->w[i], best->cost = bound;
+                best->v = b->v[i];
+                best->w = b->w[i];
+                best->cost = bound;
                 return;
             case SAMPLE_NEEDS_DISTANCES:
                 sharper = sharpen_by_distances(p, b, i, bound);
@@ -113,13 +121,15 @@ static void next_samples(rollout_planner *p, const motion *m, const sample_windo
             if (s->column == 1) w = s->w = k->min_w;
             if (s->column > 1) w = s->w += k->dw;
             sample_block *b = &s->blocks[s->used / SAMPLE_LANES];
-            b->v[s->used % SAMPLE_LANES] = s->v, b->w[s->used % SAMPLE_LANES] = w;
+            b->v[s->used % SAMPLE_LANES] = s->v;
+            b->w[s->used % SAMPLE_LANES] = w;
         }
         if (s->column < k->nw) break;
     }
     for (int at = s->used; at % SAMPLE_LANES; ++at) {
         sample_block *b = &s->blocks[at / SAMPLE_LANES];
-        b->v[at % SAMPLE_LANES] = b->v[0], b->w[at % SAMPLE_LANES] = b->w[0];
+        b->v[at % SAMPLE_LANES] = b->v[0];
+        b->w[at % SAMPLE_LANES] = b->w[0];
     }
     for (int at = 0; at < s->used; at += SAMPLE_LANES) velocity_samples_rollout(&s->blocks[at / SAMPLE_LANES], p, m);
     p->rollouts += s->used;
@@ -129,7 +139,8 @@ static void next_samples(rollout_planner *p, const motion *m, const sample_windo
 grid_box best_first_start(rollout_planner *p, const motion *m, const sample_window *k, bool forward) {
     best_first_scratch *s = &p->search;
     const grid_frame *g = &p->frame;
-    const int x = world_to_map_clamped(m->x, g->ox, g->w, g->res), y = world_to_map_clamped(m->y, g->oy, g->h, g->res);
+    const int x = world_to_map_clamped(m->x, g->ox, g->w, g->res);
+    const int y = world_to_map_clamped(m->y, g->oy, g->h, g->res);
     const double braking = m->v * m->v / p->set->acc_lim_x;
     const int near = 2 + (int)fmin(g->w, (fabs(p->set->heading_lookahead) + braking) / g->res);
     grid_box box = {x - near, y - near, x + near, y + near};  // where turns end and look ahead to
@@ -138,13 +149,19 @@ grid_box best_first_start(rollout_planner *p, const motion *m, const sample_wind
     if (forward) next_samples(p, m, k);
     for (int at = 0; at < s->used; ++at) {
         const sample_block *b = &s->blocks[at / SAMPLE_LANES];
-        const int i = at % SAMPLE_LANES, cx = b->cx[i], cy = b->cy[i];
+        const int i = at % SAMPLE_LANES;
+        const int cx = b->cx[i];
+        const int cy = b->cy[i];
         if (b->known[i] != 1 || p->cost[cy * g->w + cx] >= COST_INSCRIBED) continue;
-        box.x0 = cx < box.x0 ? cx : box.x0, box.x1 = cx > box.x1 ? cx : box.x1;
-        box.y0 = cy < box.y0 ? cy : box.y0, box.y1 = cy > box.y1 ? cy : box.y1;
+        box.x0 = cx < box.x0 ? cx : box.x0;
+        box.x1 = cx > box.x1 ? cx : box.x1;
+        box.y0 = cy < box.y0 ? cy : box.y0;
+        box.y1 = cy > box.y1 ? cy : box.y1;
     }
-    box.x0 = box.x0 > 0 ? box.x0 : 0, box.x1 = box.x1 < g->w ? box.x1 : g->w - 1;
-    box.y0 = box.y0 > 0 ? box.y0 : 0, box.y1 = box.y1 < g->h ? box.y1 : g->h - 1;
+    box.x0 = box.x0 > 0 ? box.x0 : 0;
+    box.x1 = box.x1 < g->w ? box.x1 : g->w - 1;
+    box.y0 = box.y0 > 0 ? box.y0 : 0;
+    box.y1 = box.y1 < g->h ? box.y1 : g->h - 1;
     return box;
 }
 

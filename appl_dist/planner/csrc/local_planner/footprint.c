@@ -3,7 +3,8 @@
 static double pad(double v, double padding) { return v + (v > 0 ? padding : v < 0 ? -padding : 0.0); }
 
 footprint_shape footprint_make(double half_length, double half_width, double padding) {
-    const double l = pad(half_length, padding), w = pad(half_width, padding);
+    const double l = pad(half_length, padding);
+    const double w = pad(half_width, padding);
     return (footprint_shape){.x = {-l, -l, l, l}, .y = {-w, w, w, -w}, .reach = hypot(l, w)};
 }
 
@@ -36,7 +37,8 @@ int footprint_cells_cost(const footprint_lines *l, const grid_frame *g, const ui
     const uint8_t *from[FOOTPRINT_CORNERS];
     const int16_t *line[FOOTPRINT_CORNERS];
     for (int i = 0; i < FOOTPRINT_CORNERS; ++i) {
-        const grid_cell a = c[i], b = c[(i + 1) % FOOTPRINT_CORNERS];
+        const grid_cell a = c[i];
+        const grid_cell b = c[(i + 1) % FOOTPRINT_CORNERS];
         from[i] = cost + a.y * g->w + a.x;
         line[i] = l->cells + footprint_line_at(l, b.x - a.x, b.y - a.y);
     }
@@ -46,7 +48,8 @@ int footprint_cells_cost(const footprint_lines *l, const grid_frame *g, const ui
             const int here = from[i][line[i][k]];
             worst[i] = here > worst[i] ? here : worst[i];
         }
-    const int a = worst[0] > worst[1] ? worst[0] : worst[1], b = worst[2] > worst[3] ? worst[2] : worst[3];
+    const int a = worst[0] > worst[1] ? worst[0] : worst[1];
+    const int b = worst[2] > worst[3] ? worst[2] : worst[3];
     const int most = a > b ? a : b;
     return most >= COST_LETHAL ? -1 : most;
 }
@@ -56,7 +59,8 @@ bool footprint_fill(const footprint_shape *f, const grid_frame *g, double x, dou
     grid_cell c[FOOTPRINT_CORNERS];
     out->count = 0;
     if (!footprint_corner_cells(f, g, x, y, cos(yaw), sin(yaw), c)) return false;
-    int x0 = c[0].x, x1 = c[0].x;
+    int x0 = c[0].x;
+    int x1 = c[0].x;
     for (int i = 1; i < FOOTPRINT_CORNERS; ++i) {
         if (c[i].x < x0) x0 = c[i].x;
         if (c[i].x > x1) x1 = c[i].x;
@@ -64,9 +68,13 @@ bool footprint_fill(const footprint_shape *f, const grid_frame *g, double x, dou
     if (x1 - x0 >= FOOTPRINT_COLUMNS_MAX) return false;
     out->x0 = x0;
     out->count = x1 - x0 + 1;
-    for (int i = 0; i < out->count; ++i) out->low[i] = g->h, out->high[i] = -1;
+    for (int i = 0; i < out->count; ++i) {
+        out->low[i] = g->h;
+        out->high[i] = -1;
+    }
     for (int i = 0; i < FOOTPRINT_CORNERS; ++i) {
-        const grid_cell a = c[i], b = c[(i + 1) % FOOTPRINT_CORNERS];
+        const grid_cell a = c[i];
+        const grid_cell b = c[(i + 1) % FOOTPRINT_CORNERS];
         grid_line l = line_between(a.x, a.y, b.x, b.y);
         for (int k = 0;; ++k) {
             const int column = l.x - x0;

@@ -7,7 +7,8 @@
 static refine_result score_turn(rollout_planner *p, const motion *m, sample_block *b, int i, double most,
                                 double *ahead) {
     const double reach = p->set->heading_lookahead;
-    const int x = b->cx[i], y = b->cy[i];
+    const int x = b->cx[i];
+    const int y = b->cy[i];
     if (b->known[i] <= 0) return b->known[i] == 0 ? REFINE_ILLEGAL : REFINE_UNDECIDED;
     b->path[i] = wavefront_at_least(&p->path, x, y);
     b->goal[i] = wavefront_at_least(&p->goal, x, y);
@@ -42,7 +43,8 @@ static refine_result simulate_turn(rollout_planner *p, const motion *m, sample_b
     int x, y;
     b->bound[i] = simulate_cost(p, m, 0, b->w[i], t);
     if (!(b->bound[i] >= 0 && b->bound[i] <= most)) return REFINE_ILLEGAL;
-    const double reach = p->set->heading_lookahead, th = t->th[t->points - 1];
+    const double reach = p->set->heading_lookahead;
+    const double th = t->th[t->points - 1];
     if (!world_to_map(&p->frame, t->x[t->points - 1] + reach * cos(th), t->y[t->points - 1] + reach * sin(th), &x, &y))
         return REFINE_ILLEGAL;
     const double new_ahead = wavefront_ros_value(&p->goal, x, y);
@@ -55,11 +57,16 @@ static void try_turn(rollout_planner *p, const motion *m, sample_block *b, int i
     const double most = best->cost >= 0 ? best->cost : INFINITY;
     refine_result found = score_turn(p, m, b, i, most, ahead);
     if (found == REFINE_UNDECIDED) found = simulate_turn(p, m, b, i, most, ahead);
-    if (found == REFINE_EXACT) best->v = 0, best->w = b->w[i], best->cost = b->bound[i];
+    if (found == REFINE_EXACT) {
+        best->v = 0;
+        best->w = b->w[i];
+        best->cost = b->bound[i];
+    }
 }
 
 void in_place_turns_try(rollout_planner *p, const motion *m, const sample_window *k, bool possible, rollout *best) {
-    double ahead = DBL_MAX, w = k->min_w;
+    double ahead = DBL_MAX;
+    double w = k->min_w;
     for (int j = 0; j < k->nw; j += SAMPLE_LANES) {
         sample_block *b = &p->search.turns[j / SAMPLE_LANES];
         const int count = k->nw - j < SAMPLE_LANES ? k->nw - j : SAMPLE_LANES;
@@ -67,7 +74,8 @@ void in_place_turns_try(rollout_planner *p, const motion *m, const sample_window
         for (int i = 0; i < SAMPLE_LANES; ++i) {
             const bool here = i < count;
             allowed[i] = here && in_place_turn_allowed(p, w, k->dw);
-            b->v[i] = 0, b->w[i] = here ? in_place_turn_rate(p, w) : 0;
+            b->v[i] = 0;
+            b->w[i] = here ? in_place_turn_rate(p, w) : 0;
             if (here) w += k->dw;
         }
         velocity_samples_rollout(b, p, m);

@@ -11,7 +11,10 @@ void local_planner_reset(local_planner *l) {
 
 bool local_planner_set_plan(local_planner *l, const double *xy, int n, double end_yaw) {
     if (n > l->plan.capacity) return false;
-    for (int i = 0; i < n; ++i) l->plan.x[i] = xy[2 * i], l->plan.y[i] = xy[2 * i + 1];
+    for (int i = 0; i < n; ++i) {
+        l->plan.x[i] = xy[2 * i];
+        l->plan.y[i] = xy[2 * i + 1];
+    }
     l->plan.first = 0;
     l->plan.count = n;
     l->plan.end_yaw = end_yaw;
@@ -20,7 +23,8 @@ bool local_planner_set_plan(local_planner *l, const double *xy, int n, double en
 }
 
 static double square_distance(const plan_store *plan, int i, const double pose[3]) {
-    const double dx = pose[0] - plan->x[i], dy = pose[1] - plan->y[i];
+    const double dx = pose[0] - plan->x[i];
+    const double dy = pose[1] - plan->y[i];
     return dx * dx + dy * dy;
 }
 
@@ -55,7 +59,8 @@ static bool stop_with_acc_limits(local_planner *l, const double pose[3], double 
     const double vs = sign(v) * fmax(0.0, fabs(v) - s->acc_lim_x * period);
     const double ws = sign(w) * fmax(0.0, fabs(w) - s->acc_lim_theta * period);
     if (!rollout_check(&l->rollouts, pose[0], pose[1], pose[2], v, w, vs, ws)) return false;
-    out[0] = vs, out[1] = ws;
+    out[0] = vs;
+    out[1] = ws;
     return true;
 }
 
@@ -65,7 +70,8 @@ static bool rotate_to_goal(local_planner *l, const double pose[3], double v, dou
     const double diff = shortest_angle(pose[2], goal_yaw);
     double ws = diff > 0 ? fmin(s->max_rotational_vel, fmax(s->min_in_place_vel_theta, diff))
                          : fmax(-s->max_rotational_vel, fmin(-s->min_in_place_vel_theta, diff));
-    const double most = fabs(w) + s->acc_lim_theta * period, least = fabs(w) - s->acc_lim_theta * period;
+    const double most = fabs(w) + s->acc_lim_theta * period;
+    const double least = fabs(w) - s->acc_lim_theta * period;
     ws = sign(ws) * fmin(fmax(fabs(ws), least), most);
     ws = sign(ws) * fmin(sqrt(2 * s->acc_lim_theta * fabs(diff)), fabs(ws));
     if (!rollout_check(&l->rollouts, pose[0], pose[1], pose[2], v, w, 0, ws)) return false;
@@ -75,7 +81,11 @@ static bool rotate_to_goal(local_planner *l, const double pose[3], double v, dou
 
 static const rollout *find_best(local_planner *l, const double pose[3], double v, double w) {
     // Eigen::Vector3f in findBestPath.
-    const float x = (float)pose[0], y = (float)pose[1], yaw = (float)pose[2], fv = (float)v, fw = (float)w;
+    const float x = (float)pose[0];
+    const float y = (float)pose[1];
+    const float yaw = (float)pose[2];
+    const float fv = (float)v;
+    const float fw = (float)w;
     l->best = rollout_best(&l->rollouts, l->plan.x + l->local_first, l->plan.y + l->local_first, l->local_count, x, y,
                            yaw, fv, fw);
     l->best_cost = l->best->cost;
@@ -86,7 +96,8 @@ bool local_planner_command(local_planner *l, const grid_frame *frame, const uint
                            const double twist[2], double out[2]) {
     const planner_settings *s = l->rollouts.set;
     const double pose[3] = {pose_in[0], pose_in[1], yaw_through_quaternion(pose_in[2])};
-    const double v = twist[0], w = yaw_through_quaternion(twist[1]);
+    const double v = twist[0];
+    const double w = yaw_through_quaternion(twist[1]);
     l->rollouts.frame = *frame;
     l->rollouts.cost = cost;
     l->rollouts.rollouts = l->rollouts.rollout_steps = 0;

@@ -12,9 +12,12 @@ typedef struct {
 } minimum_tree;
 
 static inline double minimum_of_eight(const double *v) {
-    const double a = v[1] < v[0] ? v[1] : v[0], b = v[3] < v[2] ? v[3] : v[2];
-    const double c = v[5] < v[4] ? v[5] : v[4], d = v[7] < v[6] ? v[7] : v[6];
-    const double e = b < a ? b : a, f = d < c ? d : c;
+    const double a = v[1] < v[0] ? v[1] : v[0];
+    const double b = v[3] < v[2] ? v[3] : v[2];
+    const double c = v[5] < v[4] ? v[5] : v[4];
+    const double d = v[7] < v[6] ? v[7] : v[6];
+    const double e = b < a ? b : a;
+    const double f = d < c ? d : c;
     return f < e ? f : e;
 }
 

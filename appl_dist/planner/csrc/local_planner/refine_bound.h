@@ -8,7 +8,10 @@ typedef enum { REFINE_ILLEGAL, REFINE_BOUNDED, REFINE_EXACT, REFINE_UNDECIDED } 
 enum { REFINE_COARSEST = 16 };  // every 16th point is tested first, then those between
 
 // Before the first refinement.
-static inline void refine_start(sample_block *b, int lane) { b->back[lane] = 0, b->gap[lane] = REFINE_COARSEST; }
+static inline void refine_start(sample_block *b, int lane) {
+    b->back[lane] = 0;
+    b->gap[lane] = REFINE_COARSEST;
+}
 
 // Tests points until the bound passes `enough` (with `or_equal`: reaches it) or all are tested.
 refine_result refine_bound(rollout_planner *p, const motion *m, sample_block *b, int lane, double enough,

@@ -34,7 +34,9 @@ static void walk_point(plan_walk *walk, double x, double y) {
     if (walk->left) return;
     if (world_to_map(&p->frame, x, y, &cx, &cy) && p->cost[cy * p->frame.w + cx] != COST_UNKNOWN) {
         wavefront_target(&p->path, cx, cy);
-        walk->goal_x = cx, walk->goal_y = cy, walk->started = true;
+        walk->goal_x = cx;
+        walk->goal_y = cy;
+        walk->started = true;
     } else if (walk->started) {
         walk->left = true;
     }
@@ -52,19 +54,24 @@ static void lay_out_waves(rollout_planner *p, const double *plan_x, const double
         for (int i = 0; i < robot.count; ++i)
             for (int row = robot.low[i]; row <= robot.high[i]; ++row) wavefront_unblock(&p->path, robot.x0 + i, row);
     plan_walk walk = {.p = p};
-    double last_x = plan_x[0], last_y = plan_y[0];
+    double last_x = plan_x[0];
+    double last_y = plan_y[0];
     walk_point(&walk, last_x, last_y);
     for (int i = 1; i < n && !walk.left; ++i) {
-        const double dx = plan_x[i] - last_x, dy = plan_y[i] - last_y, square = dx * dx + dy * dy;
+        const double dx = plan_x[i] - last_x;
+        const double dy = plan_y[i] - last_y;
+        const double square = dx * dx + dy * dy;
         if (square > res * res) {
             const int steps = (int)ceil(sqrt(square) / res);
             for (int j = 1; j < steps && !walk.left; ++j)
                 walk_point(&walk, last_x + j * (dx / steps), last_y + j * (dy / steps));
         }
         walk_point(&walk, plan_x[i], plan_y[i]);
-        last_x = plan_x[i], last_y = plan_y[i];
+        last_x = plan_x[i];
+        last_y = plan_y[i];
     }
-    p->goal_column = walk.goal_x, p->goal_row = walk.goal_y;
+    p->goal_column = walk.goal_x;
+    p->goal_row = walk.goal_y;
     if (walk.started) wavefront_target(&p->goal, walk.goal_x, walk.goal_y);
     wavefront_start(&p->path);
     wavefront_start(&p->goal);
@@ -127,7 +134,8 @@ static void try_all(rollout_planner *p, const motion *m, const sample_window *k,
             for (int j = 0; j < k->nw - 1; ++j, w += k->dw) try_forward(p, m, v, w, c);
         }
     }
-    double ahead = DBL_MAX, w = k->min_w;
+    double ahead = DBL_MAX;
+    double w = k->min_w;
     for (int j = 0; j < k->nw; ++j, w += k->dw)
         try_turn(p, m, in_place_turn_rate(p, w), in_place_turn_allowed(p, w, k->dw), &ahead, c);
 }
@@ -159,7 +167,8 @@ static void remember_turn(rollout_planner *p, const motion *m, const rollout *be
 const rollout *rollout_best(rollout_planner *p, const double *plan_x, const double *plan_y, int n, double x, double y,
                             double theta, double v, double w) {
     const motion m = {x, y, theta, v, w};
-    p->goal_x = plan_x[n - 1], p->goal_y = plan_y[n - 1];
+    p->goal_x = plan_x[n - 1];
+    p->goal_y = plan_y[n - 1];
     const sample_window k = dynamic_window(p, &m);
     rollout_pair c = {&p->one, &p->two};
     c.best->cost = c.other->cost = -1;
@@ -187,7 +196,9 @@ const rollout *rollout_best(rollout_planner *p, const double *plan_x, const doub
     simulate(p, m, p->set->escape_vel, 0, back);
     forget_oscillation_after(p, &m);
     if (!p->escaping && back->cost > -2) {
-        p->escape_x = x, p->escape_y = y, p->escape_theta = theta;
+        p->escape_x = x;
+        p->escape_y = y;
+        p->escape_theta = theta;
         p->escaping = true;
     }
     stop_escaping_after(p, &m);

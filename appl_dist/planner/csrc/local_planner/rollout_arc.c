@@ -5,7 +5,11 @@
 // Pose at a step before the velocities are reached.
 static void accelerating_pose(const rollout_arc *a, const planner_settings *set, const motion *m, pose_batch *at,
                               int i) {
-    double x = m->x, y = m->y, th = m->th, speed = m->v, rate = m->w;
+    double x = m->x;
+    double y = m->y;
+    double th = m->th;
+    double speed = m->v;
+    double rate = m->w;
     for (int k = 0; k < (int)at->step[i]; ++k) {
         double s, c;
         rollout_arc_sincos(th, &s, &c);
@@ -15,7 +19,8 @@ static void accelerating_pose(const rollout_arc *a, const planner_settings *set,
         y += speed * s * a->dt;
         th += rate * a->dt;
     }
-    at->x[i] = x, at->y[i] = y;
+    at->x[i] = x;
+    at->y[i] = y;
     rollout_arc_sincos(th, &at->sine[i], &at->cosine[i]);
 }
 
@@ -48,9 +53,11 @@ WIDE static void corner_cells(const grid_frame *restrict frame, const footprint_
     const double per_res = 1 / g.res;
     for (int i = 0; i < POSE_BATCH; ++i) at->corners_known[i] = 1;
     for (int k = 0; k < FOOTPRINT_CORNERS; ++k) {
-        const double fx = shape->x[k], fy = shape->y[k];
+        const double fx = shape->x[k];
+        const double fy = shape->y[k];
         for (int i = 0; i < POSE_BATCH; ++i) {
-            const double s = at->sine[i], c = at->cosine[i];
+            const double s = at->sine[i];
+            const double c = at->cosine[i];
             const int32_t on = rollout_arc_cell(&g, per_res, at->x[i] + (fx * c - fy * s), at->y[i] + (fx * s + fy * c),
                                                 &at->corner_x[k][i], &at->corner_y[k][i]);
             const int32_t before = at->corners_known[i];

@@ -36,8 +36,10 @@ void rollout_arc_corners(const rollout_planner *p, pose_batch *at);
 // sin and cos to 1e-13 for |angle| < 1e4.
 ALWAYS_INLINE void rollout_arc_sincos(double angle, double *s, double *c) {
     const double magic = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number, kept in the low bits
-    const double rounded = angle * 0.63661977236758134308 + magic, k = rounded - magic;
-    const double r = (angle - k * 1.5707963267341256) - k * 6.077100506506192e-11, z = r * r;
+    const double rounded = angle * 0.63661977236758134308 + magic;
+    const double k = rounded - magic;
+    const double r = (angle - k * 1.5707963267341256) - k * 6.077100506506192e-11;
+    const double z = r * r;
     const double sine =
         r + r * z *
                 (-1.6666666666666666e-1 +
@@ -53,7 +55,8 @@ ALWAYS_INLINE void rollout_arc_sincos(double angle, double *s, double *c) {
                             z * (-2.755731922398589e-7 + z * (2.08767569878681e-9 - z * 1.1470745597729725e-11))))));
     int64_t quarter;
     memcpy(&quarter, &rounded, sizeof quarter);
-    const double a = quarter & 1 ? cosine : sine, b = quarter & 1 ? sine : cosine;
+    const double a = quarter & 1 ? cosine : sine;
+    const double b = quarter & 1 ? sine : cosine;
     *s = quarter & 2 ? -a : a;
     *c = (quarter + 1) & 2 ? -b : b;
 }
@@ -62,15 +65,26 @@ ALWAYS_INLINE void rollout_arc_sincos(double angle, double *s, double *c) {
 // that loops over it become vectors.
 ALWAYS_INLINE int32_t rollout_arc_cell(const grid_frame *g, double per_res, double x, double y, int32_t *cx,
                                        int32_t *cy) {
-    double u = (x - g->ox) * per_res, v = (y - g->oy) * per_res;
-    u = u > -1 ? u : -1, v = v > -1 ? v : -1;
-    u = u < g->w + 1 ? u : g->w + 1, v = v < g->h + 1 ? v : g->h + 1;
-    const int32_t iu = (int32_t)u, iv = (int32_t)v;
-    const double fu = u - iu, fv = v - iv, right = g->w - u, up = g->h - v;
-    const double in_x = u < right ? u : right, in_y = v < up ? v : up, in = in_x < in_y ? in_x : in_y;
-    const double off_x = fu < 1 - fu ? fu : 1 - fu, off_y = fv < 1 - fv ? fv : 1 - fv;
+    double u = (x - g->ox) * per_res;
+    double v = (y - g->oy) * per_res;
+    u = u > -1 ? u : -1;
+    v = v > -1 ? v : -1;
+    u = u < g->w + 1 ? u : g->w + 1;
+    v = v < g->h + 1 ? v : g->h + 1;
+    const int32_t iu = (int32_t)u;
+    const int32_t iv = (int32_t)v;
+    const double fu = u - iu;
+    const double fv = v - iv;
+    const double right = g->w - u;
+    const double up = g->h - v;
+    const double in_x = u < right ? u : right;
+    const double in_y = v < up ? v : up;
+    const double in = in_x < in_y ? in_x : in_y;
+    const double off_x = fu < 1 - fu ? fu : 1 - fu;
+    const double off_y = fv < 1 - fv ? fv : 1 - fv;
     const double sure = (off_x < off_y ? off_x : off_y) > CELL_DOUBT ? 1.0 : -1.0;
     const double known = in >= -CELL_DOUBT ? sure : 0.0;
-    *cx = iu, *cy = iv;
+    *cx = iu;
+    *cy = iv;
     return (int32_t)known;
 }

@@ -17,15 +17,22 @@ static inline void advance(const planner_settings *s, motion *m, double v, doubl
 
 void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
     const planner_settings *s = p->set;
-    const int n = simulate_steps(p, v, w), impossible = p->frame.w * p->frame.h;
+    const int n = simulate_steps(p, v, w);
+    const int impossible = p->frame.w * p->frame.h;
     const double dt = s->sim_time / n;
-    double path = 0, goal = 0, occ = 0;
-    out->v = v, out->w = w, out->cost = -1, out->points = 0;
+    double path = 0;
+    double goal = 0;
+    double occ = 0;
+    out->v = v;
+    out->w = w;
+    out->cost = -1;
+    out->points = 0;
     int i = 0;
     for (; i < n; ++i) {
         int cx, cy;
         if (!world_to_map(&p->frame, m.x, m.y, &cx, &cy)) break;
-        const double c = cos(m.th), d = sin(m.th);
+        const double c = cos(m.th);
+        const double d = sin(m.th);
         const int outline = footprint_outline_cost(&p->shape, &p->lines, &p->frame, p->cost, m.x, m.y, c, d);
         if (outline < 0) break;
         occ = fmax(fmax(occ, outline), p->cost[cy * p->frame.w + cx]);
@@ -35,7 +42,9 @@ void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
             out->cost = -2;
             break;
         }
-        out->x[i] = m.x, out->y[i] = m.y, out->th[i] = m.th;
+        out->x[i] = m.x;
+        out->y[i] = m.y;
+        out->th[i] = m.th;
         advance(s, &m, v, w, c, d, dt);
     }
     out->points = i;
@@ -49,15 +58,21 @@ void simulate(rollout_planner *p, motion m, double v, double w, rollout *out) {
 void simulate_poses(const rollout_planner *p, motion m, double v, double w, rollout *out) {
     const int n = simulate_steps(p, v, w);
     const double dt = p->set->sim_time / n;
-    out->v = v, out->w = w, out->points = n;
+    out->v = v;
+    out->w = w;
+    out->points = n;
     for (int i = 0; i < n; ++i) {
-        out->x[i] = m.x, out->y[i] = m.y, out->th[i] = m.th;
+        out->x[i] = m.x;
+        out->y[i] = m.y;
+        out->th[i] = m.th;
         advance(p->set, &m, v, w, cos(m.th), sin(m.th), dt);
     }
 }
 
 void simulate_again(rollout_planner *p, motion m, double v, double w, rollout *out) {
-    const long rollouts = p->rollouts, steps = p->rollout_steps;
+    const long rollouts = p->rollouts;
+    const long steps = p->rollout_steps;
     simulate(p, m, v, w, out);
-    p->rollouts = rollouts, p->rollout_steps = steps;
+    p->rollouts = rollouts;
+    p->rollout_steps = steps;
 }

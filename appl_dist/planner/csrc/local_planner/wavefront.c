@@ -13,7 +13,8 @@ static inline uint64_t bit_of(int x) { return (uint64_t)1 << (x & 63); }
 // One bit for each of 16 costs: no obstacle.
 static inline uint64_t open_bits(const uint8_t *cost) {
 #ifdef __SSE2__
-    const __m128i dear = _mm_set1_epi8((char)COST_INSCRIBED), c = _mm_loadu_si128((const __m128i *)cost);
+    const __m128i dear = _mm_set1_epi8((char)COST_INSCRIBED);
+    const __m128i c = _mm_loadu_si128((const __m128i *)cost);
     return ~(unsigned)_mm_movemask_epi8(_mm_cmpeq_epi8(_mm_max_epu8(c, dear), c)) & 0xFFFF;
 #else
     uint64_t bits = 0;
@@ -23,7 +24,8 @@ static inline uint64_t open_bits(const uint8_t *cost) {
 }
 
 void wavefront_open_cells(const grid_frame *frame, const uint8_t *cost, wave_bits open) {
-    const int w = frame->w, h = frame->h;
+    const int w = frame->w;
+    const int h = frame->h;
     memset(open, 0, sizeof(wave_bits));
     for (int y = 0; y < h; ++y) {
         const uint8_t *row = cost + y * w;
@@ -42,7 +44,8 @@ void wavefront_open_cells(const grid_frame *frame, const uint8_t *cost, wave_bit
 }
 
 void wavefront_reset(wavefront *m, const grid_frame *frame, const wave_bits open, const grid_box *box) {
-    m->w = frame->w, m->h = frame->h;
+    m->w = frame->w;
+    m->h = frame->h;
     m->box = *box;
     memcpy(m->open, open, sizeof m->open);
     m->box_level = WAVE_LIMIT;
@@ -54,8 +57,12 @@ void wavefront_unblock(wavefront *m, int x, int y) { *word_of(m->open, x, y) |= 
 void wavefront_target(wavefront *m, int x, int y) {
     *word_of(m->open, x, y) |= bit_of(x);
     *word_of(m->target, x, y) |= bit_of(x);
-    const int left = m->box.x0 - x, right = x - m->box.x1, below = m->box.y0 - y, above = y - m->box.y1;
-    const int columns = left > right ? left : right, rows = below > above ? below : above;
+    const int left = m->box.x0 - x;
+    const int right = x - m->box.x1;
+    const int below = m->box.y0 - y;
+    const int above = y - m->box.y1;
+    const int columns = left > right ? left : right;
+    const int rows = below > above ? below : above;
     const int to_box = (columns > 0 ? columns : 0) + (rows > 0 ? rows : 0);
     m->box_level = to_box < m->box_level ? to_box : m->box_level;
 }
@@ -65,7 +72,8 @@ static void record_front(wavefront *m) {
     if (m->level < m->box_level) return;
     const uint64_t *front = m->front;
     const grid_box *b = &m->box;
-    const int from = b->y0 > m->first - 1 ? b->y0 : m->first - 1, to = b->y1 < m->last - 1 ? b->y1 : m->last - 1;
+    const int from = b->y0 > m->first - 1 ? b->y0 : m->first - 1;
+    const int to = b->y1 < m->last - 1 ? b->y1 : m->last - 1;
     for (int k = b->x0 >> 6; k <= b->x1 >> 6; ++k) {
         uint64_t inside = ~(uint64_t)0;
         if (k == b->x0 >> 6) inside &= ~(uint64_t)0 << (b->x0 & 63);
@@ -80,7 +88,8 @@ static void record_front(wavefront *m) {
 
 void wavefront_start(wavefront *m) {
     m->level = 0;
-    m->first = WAVE_ROWS, m->last = -1;
+    m->first = WAVE_ROWS;
+    m->last = -1;
     memcpy(m->reached, m->target, sizeof m->reached);
     memcpy(m->front, m->target, sizeof m->front);
     for (int y = 1; y <= m->h; ++y) {
@@ -102,20 +111,24 @@ typedef uint64_t row_bits __attribute__((vector_size(8 * WAVE_WORDS)));
 WIDE static bool step(const uint64_t *restrict open, uint64_t *restrict reached, uint64_t *restrict front, int first,
                       int last) {
     const row_bits none = {0};
-    row_bits below, row, above, free, any = none;
+    row_bits below, row, above, free;
+    row_bits any = none;
     memcpy(&below, reached + (first - 1) * WAVE_WORDS, sizeof below);
     memcpy(&row, reached + first * WAVE_WORDS, sizeof row);
     for (int k = first * WAVE_WORDS; k <= last * WAVE_WORDS; k += WAVE_WORDS) {
         memcpy(&above, reached + k + WAVE_WORDS, sizeof above);
         memcpy(&free, open + k, sizeof free);
-        const row_bits high = row >> 63, low = row << 63;
+        const row_bits high = row >> 63;
+        const row_bits low = row << 63;
         const row_bits beside =
             row << 1 | SHUFFLE4(high, none, 4, 0, 1, 2) | row >> 1 | SHUFFLE4(low, none, 1, 2, 3, 4);
-        const row_bits found = (below | above | beside) & free & ~row, all = row | found;
+        const row_bits found = (below | above | beside) & free & ~row;
+        const row_bits all = row | found;
         memcpy(front + k, &found, sizeof found);
         memcpy(reached + k, &all, sizeof all);
         any |= found;
-        below = row, row = above;
+        below = row;
+        row = above;
     }
     return (any[0] | any[1] | any[2] | any[3]) != 0;
 }
